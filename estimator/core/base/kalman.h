@@ -1,7 +1,8 @@
-/* Covariance propagation, the Kalman correction, and the triangles that both and others need. */
+/* Covariance propagation and the Kalman correction. */
 #ifndef DECKLANDER_KALMAN_H
 #define DECKLANDER_KALMAN_H
 
+#include "base/linear.h"
 #include "decklander.h"
 
 enum {
@@ -9,18 +10,12 @@ enum {
     ORDER_MAX = DL_N,
 };
 
-enum { NOT_POSITIVE = 0, DONE = 1 };
-
 /* m numbers, measured less predicted, with their Jacobian (m, n) and their noise (m, m). */
 typedef struct {
     int m;
     const double *innov, *H, *R;
 } measured;
 
-/* S = L L', lower triangle in place of S; NOT_POSITIVE if S is not positive definite. */
-int cholesky(int m, double S[DL_ROWS_MAX][DL_ROWS_MAX]);
-/* b <- inv(L) b */
-void solve_lower(int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double b[DL_ROWS_MAX]);
 /* The symmetric part of F P F' + Q, for a symmetric P. Most entries of a transition are zero. */
 void kalman_predict(int n, const double *P, const double *F, const double *Q, double *P_after);
 /* The normalised innovation squared, innov' inv(S) innov; NOT_POSITIVE if S is not positive definite. */

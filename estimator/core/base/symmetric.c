@@ -86,13 +86,13 @@ static void in_units_of(int m, double L[DL_ROWS_MAX][DL_ROWS_MAX], double part[D
         for (int i = 0; i < m; i++) {
             left[j][i] = part[i][j];
         }
-        solve_lower(m, L, left[j]);
+        solve_lower(m, DL_ROWS_MAX, *L, 1, 1, left[j]);
     }
     for (int j = 0; j < m; j++) {
         for (int i = 0; i < m; i++) {
             out[j][i] = left[i][j];
         }
-        solve_lower(m, L, out[j]);
+        solve_lower(m, DL_ROWS_MAX, *L, 1, 1, out[j]);
     }
 }
 
@@ -128,14 +128,14 @@ void remove_attitude(int m, double *cov, const double *J, const double *cov_atti
             rest[i][j] = (1.0 - KEPT) * cov[i * m + j] - part[i][j];
         }
     }
-    if (cholesky(m, rest) != NOT_POSITIVE) {
+    if (cholesky(m, DL_ROWS_MAX, *rest) != NOT_POSITIVE) {
         for (int i = 0; i < m * m; i++) {
             cov[i] -= part[i / m][i % m];
         }
         return;
     }
     double whitened[DL_ROWS_MAX][DL_ROWS_MAX], fraction[DL_ROWS_MAX], axes[DL_ROWS_MAX][DL_ROWS_MAX];
-    if (cholesky(m, L) == NOT_POSITIVE) {
+    if (cholesky(m, DL_ROWS_MAX, *L) == NOT_POSITIVE) {
         return;
     }
     in_units_of(m, L, part, whitened);

@@ -4,6 +4,9 @@
 
 #include "decklander.h"
 
+/* An element of a matrix of the state, in rows. */
+#define AT(M, row, column) ((M)[(row) * DL_N + (column)])
+
 enum {
     /* The largest number of states on which one kind of aiding depends. */
     COLUMNS_MAX = 12,

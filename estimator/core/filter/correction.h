@@ -6,8 +6,6 @@
 #include "filter/belief.h"
 #include "filter/propagate.h"
 
-#define AT(M, row, column) ((M)[(row) * DL_N + (column)])
-
 /* Displacement and rate of the deck on waves. */
 enum {
     SURGING = DL_WAVES + 1,

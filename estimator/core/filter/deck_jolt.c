@@ -158,15 +158,15 @@ void jolt_steering(int m, const double *innov, const double *S, const double *H,
         y[i] = innov[i];
         memcpy(L[i], S + i * m, (size_t)m * sizeof *S);
     }
-    if (cholesky(m, L) == NOT_POSITIVE) {
+    if (cholesky(m, DL_ROWS_MAX, *L) == NOT_POSITIVE) {
         return;
     }
-    solve_lower(m, L, y);
+    solve_lower(m, DL_ROWS_MAX, *L, 1, 1, y);
     for (int k = 0; k < STEERINGS; k++) {
         for (int i = 0; i < m; i++) {
             by[k][i] = moved_by(H, i, out->way, k, 0) + 2.0 / STEERED_S * moved_by(H, i, out->way, k, 1);
         }
-        solve_lower(m, L, by[k]);
+        solve_lower(m, DL_ROWS_MAX, *L, 1, 1, by[k]);
         for (int i = 0; i < m; i++) {
             square[k] += by[k][i] * by[k][i];
             along[k] += by[k][i] * y[i];

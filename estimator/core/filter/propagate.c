@@ -9,7 +9,6 @@
 #include "base/kalman.h"
 #include "base/rotation.h"
 
-#define AT(M, row, column) ((M)[(row) * DL_N + (column)])
 
 /* Fraction of a direction's energy that lies in waves too short for the learned oscillators; it enters as white acceleration. */
 static const double SHORT_FRACTION = 0.002;

@@ -5,14 +5,13 @@
 #include <math.h>
 #include <string.h>
 
-#include "filter/bank.h"
 #include "filter/correction.h"
 #include "filter/deck_jolt.h"
 #include "filter/gate.h"
-#include "filter/oscillator.h"
 #include "base/kalman.h"
 #include "base/rotation.h"
 #include "filter/baseline.h"
+#include "filter/reset.h"
 #include "filter/sighting.h"
 
 /* Fraction of the correction of the camera's mounting that is withheld on a rough sea, and of the covariance's root with it. */
@@ -33,8 +32,6 @@ static const double COUNTED_S = 0.5;
 static const double SWUNG_RAD = 0.012;
 /* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
 static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
-/* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
-static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
 /* Time since the newest picture up to which a baseline that contradicts the belief is outvoted, s; time for which baselines have to agree
  * with one another before the belief follows them alone: a wrong solution lasts for seconds. */
 static const double OUTVOTED_S = 0.5, FOLLOWED_S = 3.0;
@@ -47,11 +44,6 @@ typedef struct {
     int ok;
     double S[SEEN_MAX * SEEN_MAX], dx[DL_N], P[DL_N * DL_N], nis;
 } comparison;
-
-static double uniform_var(void)
-{
-    return acos(-1.0) * acos(-1.0) / 3.0;
-}
 
 /* The covariance of the rate of the measured position, (3, 3). */
 static void rate_covariance(const double *by_rate, const double *P, double cov[9])
@@ -104,96 +96,6 @@ static void compare(const dl_filter_params *o, const dl_belief *b, const double 
     out->ok = kalman_correct(DL_N, P, &(measured){m, seen->innov, seen->H, seen->R}, out->dx, out->P, out->S, &out->nis);
 }
 
-/* The pad's heading by a sighting, with a uniform prior on it. */
-static void set_heading(dl_belief *b, double *P, double yaw)
-{
-    b->x[DL_PAD_YAW] = wrapped(heading_of(b->R) - yaw);
-    forget_state(P, DL_PAD_YAW, uniform_var());
-}
-
-/* Make the waves of some directions as uncertain as those of a sea of their size, (5,) m or rad. */
-static void open_waves(const dl_belief *b, const double *sigma, double *P, int first, int end)
-{
-    for (int i = WAVE_STATES * first; i < WAVE_STATES * end; i++) {
-        forget_state(P, DL_WAVES + i, 0.0);
-    }
-    for (int k = first; k < end; k++) {
-        double at_rest[4][4];
-        oscillator_at_rest(b->wave_w[k], b->wave_zeta[k], at_rest);
-        for (int i = 0; i < 4; i++) {
-            for (int j = 0; j < 4; j++) {
-                AT(P, DL_WAVES + 4 * k + i, DL_WAVES + 4 * k + j) = sigma[k] * sigma[k] * at_rest[i][j];
-            }
-        }
-    }
-}
-
-/* Forget what another pad's vessel does not share: its velocity, turn and waves. */
-static void reset_vessel(const dl_filter_params *o, dl_belief *b, double *P)
-{
-    for (int i = 0; i < 2; i++) {
-        forget_state(P, DL_VESSEL_VEL + i, RESET_VELOCITY_VAR);
-    }
-    forget_state(P, DL_TURN_RATE, o->sigma_turn_rate_rad_s * o->sigma_turn_rate_rad_s);
-    b->x[DL_TURN_RATE] = 0.0;
-    b->swung = -1;
-    memset(b->x + DL_WAVES, 0, 3 * WAVE_STATES * sizeof *b->x);
-    open_waves(b, b->wave_sigma, P, 0, 3);
-}
-
-/* The pad from the body in ned, by a picture, less `late` (3,) in the camera's axes, or by a baseline; returns its distance squared. */
-static double place_of(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, const double late[3], double place[3])
-{
-    double A[9], seen[3], back[9], lever[3];
-    if (s->by_baseline) {
-        baseline_place(o, b, s, place);
-        return dot(place, place);
-    }
-    levelling(b, A);
-    seen_from_body(s, A, seen);
-    camera_to_ned(b, back);
-    for (int i = 0; i < 3; i++) {
-        seen[i] -= late[i];
-    }
-    rotated(back, seen, place);
-    rotated(b->R, b->x + DL_CAMERA_LEVER, lever);
-    for (int i = 0; i < 3; i++) {
-        place[i] += lever[i];
-    }
-    return dot(seen, seen);
-}
-
-/* Initialise the pad's position from a sighting; with `reset`, drop the rest of the belief about the pad as well. The states of
- * the body itself stay. */
-static void initialise(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, int reset)
-{
-    static const double in_time[3] = {0.0};
-    double *P = changeable(c);
-    const double away = place_of(o, b, s, in_time, b->x + DL_POS_REL);
-    for (int i = 0; i < 3; i++) {
-        forget_state(P, DL_POS_REL + i, PLACE_VAR + away);
-    }
-    if (reset) {
-        reset_vessel(o, b, P);
-    } else if (happened(b->reported)) {
-        /* What a motion sensor said before any sighting is where the waves begin, and proves nothing: not even a calm. */
-        double sigma[DL_DIRECTIONS];
-        for (int k = 0; k < DL_DIRECTIONS; k++) {
-            sigma[k] = fmax(b->wave_sigma[k], prior_size(&o->members, k));
-        }
-        open_waves(b, sigma, P, 2, DL_DIRECTIONS);
-    }
-    /* A velocity that counted as over the water may have been over a ship that reported hers. */
-    for (int k = 0; k < 4 && !happened(b->sighted) && o->velocity_is_over == DL_OVER_EITHER; k++) {
-        AT(P, DL_VEL + k / 2, DL_VEL + k % 2) += b->x[DL_VESSEL_VEL + k / 2] * b->x[DL_VESSEL_VEL + k % 2];
-    }
-    if ((reset || !b->heading_known) && s->has_yaw && !s->yaw_ambiguous) {
-        set_heading(b, P, s->yaw_rad);
-    }
-    streak_end(b);
-    b->heading_held_s = 0.0;
-}
-
 /* Compare again with a wider belief if the last sightings missed the deck by more than the filter claims. */
 static comparison *compare_jolted(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, comparison *first,
                                   comparison *second)
@@ -243,17 +145,6 @@ static void count_heading_agreement(const dl_filter_params *o, dl_belief *b, int
     b->heading_seen = b->t;
 }
 
-/* Set the pad's yaw from a sighting, whatever the state was. */
-static void reset_heading(dl_belief *b, covariance *c, const dl_sighting *s)
-{
-    if (!s->has_pose6 && !s->has_yaw) {
-        return;
-    }
-    set_heading(b, changeable(c), s->has_pose6 ? -heading_of(s->pose_R) : s->yaw_rad);
-    b->x[DL_YAW_RATE] = b->x[DL_WAVE_YAW] = 0.0;
-    b->heading_held_s = 0.0;
-}
-
 /* Withhold a part of a correction for the camera's mounting and delay, with as much of its gain in certainty as is honest.
  *
  * A deck's sway and heave belong to one wave, but the model takes them as independent. From their correlation over a few waves it
@@ -277,70 +168,6 @@ static void withhold(const dl_belief *b, const double *before, double dx[DL_N], 
             AT(P, states[i], states[j]) += fraction[i] * gained * fraction[j];
         }
     }
-}
-
-/* Roll and pitch of a pad that was seen whole, and their variances. */
-static void measure_tilt(const dl_sighting *s, const double R_ned_level[9], const double *R, double y[DL_DIRECTIONS], double var[DL_DIRECTIONS])
-{
-    double pad[9], into_pad[9];
-    product(R_ned_level, s->pose_R, pad);
-    y[3] = atan2(pad[7], pad[8]);
-    y[4] = asin(fmax(-1.0, fmin(1.0, -pad[6])));
-    product_of_transposed(pad, R_ned_level, into_pad);
-    for (int k = 0; k < 2; k++) {
-        var[3 + k] = 0.0;
-        for (int i = 0; i < 3; i++) {
-            for (int j = 0; j < 3; j++) {
-                var[3 + k] += into_pad[3 * k + i] * R[(3 + i) * SEEN_MAX + 3 + j] * into_pad[3 * k + j];
-            }
-        }
-    }
-}
-
-void learn_waves(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const bank_look *look)
-{
-    bank_observe(o, b->t, look, bank->now, bank->place);
-    bank->now = bank->place;
-    memcpy(b->wave_w, bank->now->w_rad_s, sizeof b->wave_w);
-    memcpy(b->wave_zeta, bank->now->zeta, sizeof b->wave_zeta);
-    memcpy(b->wave_sigma, bank->now->sigma, sizeof b->wave_sigma);
-}
-
-/* Update the bank of wave oscillators with the pad's measured position and tilt. */
-static void learn(const dl_filter_params *o, dl_belief *b, sea_ref *bank, const dl_sighting *s, const comparison *row)
-{
-    double A[9], back[9], late[3], place[3];
-    bank_look look = {0};
-    double *const y = look.y, *const var = look.var;
-    if (happened(bank->now->sighted) && seconds(bank->now->sighted, b->t) < 0.9 * BANK_PERIOD_S) {
-        return;
-    }
-    levelling(b, A);
-    camera_to_ned(b, back);
-    for (int i = 0; i < 3; i++) {
-        late[i] = AT(row->seen.H, i, DL_CAMERA_DELAY) * b->x[DL_CAMERA_DELAY];
-    }
-    const double away = place_of(o, b, s, late, place);
-    for (int k = 0; k < DL_DIRECTIONS; k++) {
-        var[k] = k < 3 ? 0.0 : 10.0 * UNSEEN_VAR;
-    }
-    for (int k = 0; k < 3; k++) {
-        y[k] = place[k] + b->ins_p[k];
-        for (int i = 0; i < 3; i++) {
-            for (int j = 0; j < 3; j++) {
-                var[k] += back[3 * k + i] * row->seen.R[i * row->seen.m + j] * back[3 * k + j];
-            }
-        }
-    }
-    if (row->seen.m == SEEN_MAX) {
-        double R_ned_level[9];
-        product_by_transposed(back, A, R_ned_level);
-        measure_tilt(s, R_ned_level, row->seen.R, y, var);
-    }
-    look.ins_var = b->ins_var_m2_s2;
-    look.reach_m = sqrt(away);
-    learn_waves(o, b, bank, &look);
-    b->ins_var_m2_s2 = 0.0;
 }
 
 static void reject(dl_belief *b, const comparison *row, int by_baseline)
@@ -421,9 +248,61 @@ static void mark_swing(dl_belief *b)
     b->swung = aside > ASIDE_M_S ? b->t : b->swung;
 }
 
+/* Compare a sighting with the belief: once more with a wider one after a jolt, and by its place alone if its heading contradicts. A
+ * heading that is contradicted for as long as it was confirmed is reset. */
+static comparison *compared(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, int fresh, comparison rows[2])
+{
+    comparison *row = &rows[0];
+    compare(o, b, c->P, s, 0, row);
+    if (row->ok && !fresh && !s->by_baseline) {
+        row = compare_jolted(o, b, c, s, row, &rows[1]);
+    }
+    if (!row->ok || row->seen.m <= 3) {
+        return row;
+    }
+    comparison *other = row == &rows[0] ? &rows[1] : &rows[0];
+    const double limit = o->nis_max[row->seen.m - 1];
+    if (row->nis <= limit) {
+        count_heading_agreement(o, b, 1);
+        return row;
+    }
+    if (!b->heading_known || !(row->nis > limit)) {
+        return row;
+    }
+    compare(o, b, c->P, s, 1, other);
+    if (!other->ok || !(other->nis <= o->nis_max[2])) {
+        return row;
+    }
+    count_heading_agreement(o, b, 0);
+    if (b->heading_held_s <= 0.0) {
+        reset_heading(b, c, s);
+        compare(o, b, c->P, s, 0, other);
+    }
+    return other;
+}
+
+static int is_singular(const comparison *row, dl_outcome *out)
+{
+    if (!row->ok) {
+        write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL, NAN, NAN);
+    }
+    return !row->ok;
+}
+
+/* Count a rejection of a sighting, unless it is outvoted; whether that makes a streak which resets the belief to it. */
+static int rejection_resets(const dl_filter_params *o, dl_belief *b, const dl_sighting *s, const comparison *row, int outvoted)
+{
+    if (outvoted) {
+        return 0;
+    }
+    reject(b, row, s->by_baseline);
+    const double span = seconds(b->rejections.since, b->rejections.last);
+    return (!s->by_baseline || (is_sure(s) && span >= FOLLOWED_S)) && streak_resets(o, b);
+}
+
 void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
-    comparison rows[2], *row = &rows[0], *other = &rows[1];
+    comparison rows[2], *row;
     const int fresh = !happened(b->sighted), sure = !s->by_baseline || is_sure(s);
     const int outvoted = s->by_baseline && happened(b->pictured) && seconds(b->pictured, b->t) < OUTVOTED_S;
     if (fresh && s->by_baseline && !(s->alone && sure)) {
@@ -431,30 +310,10 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         return;
     }
     if (fresh) {
-        initialise(o, b, c, s, 0);
+        initialise_pad(o, b, c, s, 0);
     }
-    compare(o, b, c->P, s, 0, row);
-    if (row->ok && !fresh && !s->by_baseline) {
-        row = compare_jolted(o, b, c, s, row, other);
-        other = row == &rows[0] ? &rows[1] : &rows[0];
-    }
-    int turned_round = 0;
-    if (row->ok && row->seen.m > 3 && b->heading_known && row->nis > o->nis_max[row->seen.m - 1]) {
-        compare(o, b, c->P, s, 1, other);
-        if (other->ok && other->nis <= o->nis_max[2]) {
-            turned_round = 1;
-            row = other;
-        }
-    }
-    if (row->ok && (turned_round || (row->seen.m > 3 && row->nis <= o->nis_max[row->seen.m - 1]))) {
-        count_heading_agreement(o, b, !turned_round);
-        if (turned_round && b->heading_held_s <= 0.0) {
-            reset_heading(b, c, s);
-            compare(o, b, c->P, s, 0, row);
-        }
-    }
-    if (!row->ok) {
-        write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL, NAN, NAN);
+    row = compared(o, b, c, s, fresh, rows);
+    if (is_singular(row, out)) {
         return;
     }
     const int dof = row->seen.m;
@@ -462,19 +321,14 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         b->nis_mean = nis_mean_of(b->nis_mean, row->seen.innov, row->S, dof);
     }
     if (row->nis > o->nis_max[dof - 1] || is_as_rejected(b, s, row)) {
-        if (!outvoted) {
-            reject(b, row, s->by_baseline);
-        }
-        const double span = seconds(b->rejections.since, b->rejections.last);
-        if (outvoted || !sure || !streak_resets(o, b) || (s->by_baseline && span < FOLLOWED_S)) {
+        if (!rejection_resets(o, b, s, row, outvoted)) {
             write_outcome(out, DL_GATED, dof, 0, row->seen.innov, row->S, row->nis, o->nis_max[dof - 1]);
             return;
         }
-        initialise(o, b, c, s, !s->by_baseline);
+        initialise_pad(o, b, c, s, !s->by_baseline);
         b->nis_mean = 1.0;
         compare(o, b, c->P, s, 0, row);
-        if (!row->ok) {
-            write_outcome(out, DL_SINGULAR, row->seen.m, 0, row->seen.innov, NULL, NAN, NAN);
+        if (is_singular(row, out)) {
             return;
         }
     }
@@ -485,7 +339,7 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
         mark_swing(b);
     }
     if (sure) {
-        learn(o, b, bank, s, row);
+        learn_from_sighting(o, b, bank, s, &row->seen);
     }
     write_outcome(out, DL_FUSED, row->seen.m, 0, row->seen.innov, row->S, row->nis, o->nis_max[row->seen.m - 1]);
 }

@@ -173,9 +173,6 @@ void align_uncovered(samples *s);
 /* One of eight sectors around the centre, from 0 to 7, against the sense of x to y from -x. */
 int align_sector(float x, float y);
 
-/* Solve A X = B for a symmetric positive definite A, (n, n) and (n, m); A is lost, and B becomes X. */
-int align_solve(int n, int m, double *A, double *B);
-
 /* Support for the arrowhead at both of its places: found, seen, clear. */
 void align_arrow(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *pose, const float paints[4][3], double noise,
                  double out[6]);

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "vision/align/align.h"
+#include "base/linear.h"
 #include "base/rotation.h"
 #include "base/vectors.h"
 #include "base/wide.h"
@@ -110,7 +111,7 @@ static int step_of(const samples *s, const painted *fit, const double tilt[2], d
     for (int i = 0; i < POSE; i++) {
         M[(POSE + 1) * i] = M[(POSE + 1) * i] * 1.001 + 1e-6;
     }
-    if (!align_solve(POSE, 1, M, step)) {
+    if (!solve_positive(POSE, M, 1, step)) {
         return 0;
     }
     const double way = sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2]);

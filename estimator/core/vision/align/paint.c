@@ -5,6 +5,7 @@
 
 #include "vision/align/align.h"
 #include "vision/register/sums.h"
+#include "base/linear.h"
 #include "base/vectors.h"
 #include "base/wide.h"
 
@@ -19,37 +20,6 @@ static const double RIDGE = 1e-4;
 static const double CHANCE = 4.0;
 /* Products of four coverages with each other and with three channels of light. */
 enum { PRODUCTS = 22 };
-
-int align_solve(int n, int m, double *A, double *B)
-{
-    for (int j = 0; j < n; j++) {
-        for (int i = j; i < n; i++) {
-            double sum = A[i * n + j];
-            for (int k = 0; k < j; k++) {
-                sum -= A[i * n + k] * A[j * n + k];
-            }
-            if (i == j && !(sum > 0.0)) {
-                return 0;
-            }
-            A[i * n + j] = i == j ? sqrt(sum) : sum / A[j * n + j];
-        }
-    }
-    for (int c = 0; c < m; c++) {
-        for (int i = 0; i < n; i++) {
-            for (int k = 0; k < i; k++) {
-                B[i * m + c] -= A[i * n + k] * B[k * m + c];
-            }
-            B[i * m + c] /= A[i * n + i];
-        }
-        for (int i = n - 1; i >= 0; i--) {
-            for (int k = i + 1; k < n; k++) {
-                B[i * m + c] -= A[k * n + i] * B[k * m + c];
-            }
-            B[i * m + c] /= A[i * n + i];
-        }
-    }
-    return 1;
-}
 
 double align_sum(const float8 *lanes)
 {
@@ -102,7 +72,7 @@ static int paints_of(const samples *s, float paints[4][3])
         }
     }
     memcpy(B, sums + row, sizeof B);
-    if (!align_solve(4, 3, A, B)) {
+    if (!solve_positive(4, A, 3, B)) {
         return 0;
     }
     for (int i = 0; i < 12; i++) {

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "vision/align/align.h"
-#include "base/wide.h"
+#include "base/linear.h"
 
 enum { LIGHT = 4, ONE = 7 };
 /* Ridge of a fit, per sample: a paint may cover none of them. */
@@ -34,49 +34,18 @@ double align_varied(const fit_sums of)
     return fmax(out, 0.0);
 }
 
-/* Solve A X = B for a symmetric positive definite A, all columns of B at once: what `align_solve` computes one by one. */
-WIDE
-static int solve_four(double A[4][4], double4 B[4])
-{
-    for (int j = 0; j < 4; j++) {
-        for (int i = j; i < 4; i++) {
-            double sum = A[i][j];
-            for (int k = 0; k < j; k++) {
-                sum -= A[i][k] * A[j][k];
-            }
-            if (i == j && !(sum > 0.0)) {
-                return 0;
-            }
-            A[i][j] = i == j ? sqrt(sum) : sum / A[j][j];
-        }
-    }
-    for (int i = 0; i < 4; i++) {
-        for (int k = 0; k < i; k++) {
-            B[i] -= A[i][k] * B[k];
-        }
-        B[i] /= A[i][i];
-    }
-    for (int i = 3; i >= 0; i--) {
-        for (int k = i + 1; k < 4; k++) {
-            B[i] -= A[k][i] * B[k];
-        }
-        B[i] /= A[i][i];
-    }
-    return 1;
-}
-
 double align_unexplained(const fit_sums of)
 {
-    double A[4][4], left = 0.0;
-    double4 b[4];
+    double A[4][4], b[4][3], left = 0.0;
     for (int i = 0; i < 4; i++) {
         for (int j = 0; j < 4; j++) {
             A[i][j] = (double)of[i][j] + (i == j ? RIDGE * align_number(of) : 0.0);
         }
-        const double4 light = {(double)of[i][LIGHT], (double)of[i][LIGHT + 1], (double)of[i][LIGHT + 2], 0.0};
-        b[i] = light;
+        for (int c = 0; c < 3; c++) {
+            b[i][c] = (double)of[i][LIGHT + c];
+        }
     }
-    if (!solve_four(A, b)) {
+    if (!solve_positive(4, *A, 3, *b)) {
         return align_varied(of);
     }
     for (int c = 0; c < 3; c++) {

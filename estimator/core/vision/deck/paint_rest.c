@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/linear.h"
 #include "vision/register/sums.h"
 #include "vision/tracker.h"
 
@@ -39,25 +40,6 @@ static void shares(const float *light, const float *axis, const float *pale, flo
     *of_own = both < 0.0f ? along : own < 0.0f ? 0.0f : own;
 }
 
-/* Solve a symmetric system of three for three right sides, by Cramer's rule; M is positive. */
-static void solved(const double *M, double *B)
-{
-    double inverse[9];
-    for (int i = 0; i < 3; i++) {
-        for (int j = 0; j < 3; j++) {
-            const int a = (j + 1) % 3, b = (j + 2) % 3, c = (i + 1) % 3, d = (i + 2) % 3;
-            inverse[3 * i + j] = M[3 * a + c] * M[3 * b + d] - M[3 * a + d] * M[3 * b + c];
-        }
-    }
-    const double det = M[0] * inverse[0] + M[1] * inverse[3] + M[2] * inverse[6];
-    for (int k = 0; k < 3; k++) {
-        const double b[3] = {B[k], B[3 + k], B[6 + k]};
-        for (int i = 0; i < 3; i++) {
-            B[3 * i + k] = (inverse[3 * i] * b[0] + inverse[3 * i + 1] * b[1] + inverse[3 * i + 2] * b[2]) / det;
-        }
-    }
-}
-
 /* Subtract a slow plane from the cells, fitted to those near it. */
 static void level(const float *place, int n, float *left, float *off, uint32_t *spare)
 {
@@ -91,7 +73,7 @@ static void level(const float *place, int n, float *left, float *off, uint32_t *
                 M[j] += row[j / 3] * row[j % 3], B[j] += row[j / 3] * left[3 * i + j % 3];
             }
         }
-        solved(M, B);
+        solve_positive(3, M, 3, B);
         memcpy(slow, B, sizeof slow);
     }
 }

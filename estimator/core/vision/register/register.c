@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/kalman.h"
+#include "base/linear.h"
 #include "base/rotation.h"
 #include "vision/register/near.h"
 #include "vision/register/register.h"
@@ -137,11 +137,9 @@ static void blur_in_frame(const fit_state *s, const double R[9], double out[3])
 /* Whether the pose's covariance is positive definite: that of a fit which ran away, with little of the pad in view, need not be. */
 static int positive(const double cov[STATES * STATES])
 {
-    double S[DL_ROWS_MAX][DL_ROWS_MAX];
-    for (int i = 0; i < POSE; i++) {
-        memcpy(S[i], cov + i * STATES, POSE * sizeof *cov);
-    }
-    return cholesky(POSE, S) == DONE;
+    double S[STATES * STATES];
+    memcpy(S, cov, sizeof S);
+    return cholesky(POSE, STATES, S) == DONE;
 }
 
 /* Add to the covariance of a found pose what a codec may have moved in the frame, if one predicted it. */

@@ -1,4 +1,4 @@
-/* Sum products of rows, and solve symmetric equations. */
+/* Sum products of rows, and find medians. */
 
 #include "vision/register/sums.h"
 
@@ -151,84 +151,4 @@ float order_statistic(int k, int n, const float *values, uint32_t *spare)
 float median_of(int n, const float *values, uint32_t *spare)
 {
     return order_statistic(n / 2, n, values, spare);
-}
-
-/* B <- inv(M) B by elimination with the largest pivot. */
-static int eliminate(int n, double *M, int m, double *B)
-{
-    for (int k = 0; k < n; k++) {
-        int best = k;
-        for (int i = k + 1; i < n; i++) {
-            best = fabs(M[i * n + k]) > fabs(M[best * n + k]) ? i : best;
-        }
-        if (!(fabs(M[best * n + k]) > 0.0)) {
-            return 0;
-        }
-        for (int j = 0; j < n; j++) {
-            const double kept = M[k * n + j];
-            M[k * n + j] = M[best * n + j], M[best * n + j] = kept;
-        }
-        for (int j = 0; j < m; j++) {
-            const double kept = B[k * m + j];
-            B[k * m + j] = B[best * m + j], B[best * m + j] = kept;
-        }
-        for (int i = k + 1; i < n; i++) {
-            const double factor = M[i * n + k] / M[k * n + k];
-            for (int j = k; j < n; j++) {
-                M[i * n + j] -= factor * M[k * n + j];
-            }
-            for (int j = 0; j < m; j++) {
-                B[i * m + j] -= factor * B[k * m + j];
-            }
-        }
-    }
-    for (int i = n - 1; i >= 0; i--) {
-        for (int j = 0; j < m; j++) {
-            for (int k = i + 1; k < n; k++) {
-                B[i * m + j] -= M[i * n + k] * B[k * m + j];
-            }
-            B[i * m + j] /= M[i * n + i];
-        }
-    }
-    return 1;
-}
-
-int solve_symmetric(int n, int stride, const double *M, int m, double *B)
-{
-    double L[COEFFICIENTS_MAX * COEFFICIENTS_MAX], per[COEFFICIENTS_MAX];
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j <= i; j++) {
-            double sum = M[i * stride + j];
-            for (int k = 0; k < j; k++) {
-                sum -= L[i * n + k] * L[j * n + k];
-            }
-            if (i == j) {
-                if (!(sum > 0.0)) {
-                    double whole[COEFFICIENTS_MAX * COEFFICIENTS_MAX];
-                    for (int r = 0; r < n * n; r++) {
-                        whole[r] = M[r / n * stride + r % n];
-                    }
-                    return eliminate(n, whole, m, B);
-                }
-                per[i] = 1.0 / sqrt(sum);
-            } else {
-                L[i * n + j] = sum * per[j];
-            }
-        }
-    }
-    for (int j = 0; j < m; j++) {
-        for (int i = 0; i < n; i++) {
-            for (int k = 0; k < i; k++) {
-                B[i * m + j] -= L[i * n + k] * B[k * m + j];
-            }
-            B[i * m + j] *= per[i];
-        }
-        for (int i = n - 1; i >= 0; i--) {
-            for (int k = i + 1; k < n; k++) {
-                B[i * m + j] -= L[k * n + i] * B[k * m + j];
-            }
-            B[i * m + j] *= per[i];
-        }
-    }
-    return 1;
 }

@@ -1,8 +1,9 @@
-/* Sums over pixels, and systems of equations of a few unknowns. */
+/* Sums over pixels. */
 #ifndef DECKLANDER_REGISTER_SUMS_H
 #define DECKLANDER_REGISTER_SUMS_H
 
 #include "vision/register/state.h"
+#include "base/linear.h"
 
 /* The most paint coefficients of a dense fit: light and its two slopes, the regions, a reflection's four. */
 enum { COEFFICIENTS_MAX = 3 + DL_PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
@@ -19,9 +20,5 @@ void mirror(int n, int stride, double *M);
 float order_statistic(int k, int n, const float *values, uint32_t *spare);
 /* The upper median of n finite numbers; `spare` has room for as many. */
 float median_of(int n, const float *values, uint32_t *spare);
-
-/* Solve M X = B for symmetric M of n rows (`n` at most COEFFICIENTS_MAX), by Cholesky, by elimination if that fails; B has `m`
- * columns and takes X. Returns 0 if M is singular. */
-int solve_symmetric(int n, int stride, const double *M, int m, double *B);
 
 #endif

@@ -51,7 +51,7 @@ static int conic_of(int n, const double *xy, const double mean[2], double scale,
             p[j] -= row[j] * (x * x + y * y);
         }
     }
-    return align_solve(CONIC, 1, M, p);
+    return solve_positive(CONIC, M, 1, p);
 }
 
 /* The matrix of the conic in the rays' own coordinates. */
