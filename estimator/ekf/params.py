@@ -216,35 +216,28 @@ NIS_MAX = (15.137, 18.421, 21.108, 23.513, 25.745, 27.856, 29.878, 31.828, 33.72
 
 
 _SURFACES = {"auto": abi.DL_OVER_EITHER, "either": abi.DL_OVER_EITHER, "pad": abi.DL_OVER_PAD, "ground": abi.DL_OVER_GROUND}
-_FROM_OPTIONS = (
-    "reopen_count", "tick_s", "forget_s", "aiding_period_s", "accel_step_m_s2", "gyro_step_rad_s",
-    "deck_radius_m", "sigma_wave_yaw_rate_rad_s", "min_confidence", "reopen_s", "heading_memory_s", "sigma_turn_rate_rad_s",
-    "pad_yaw_in_vessel_rad", "velocity_scale", "sigma_initial_tilt_rad", "sigma_initial_heading_rad", "sigma_attitude_bias_rad",
-    "leap_count",
-)  # fmt: skip
-_FROM_NOISE = ("psd", "initial_var", "psd_accel", "psd_coast", "psd_coast_turn", "not_measured_var")
 
 
 def _packed(params: FilterParams) -> NDArray[Any]:
-    """Return the core's `dl_filter_params` for these parameters."""
+    """Return the core's `dl_filter_params`: each member of the header is an option, a noise, or computed here."""
     o, by = params.options, params.carrying
-    record = CORE.record(
-        "dl_filter_params",
-        **{name: getattr(o, name) for name in _FROM_OPTIONS},
-        **{name: getattr(params, name) for name in _FROM_NOISE},
-        hold_ns=round(o.hold_s * 1e9),
-        history_ns=round(o.history_s * 1e9),
-        max_ahead_ns=round(o.max_ahead_s * 1e9),
-        leap_ns=round(o.leap_s * 1e9),
-        velocity_is_over=_SURFACES[o.velocity_is_over],
-        pad_in_vessel_m=(o.pad_forward_m, o.pad_right_m),
-        correlation_s=(o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s),
-        nis_max=NIS_MAX[:DL_ROWS_MAX],
-        carrying_psd_accel=by.asd_accel**2,
-        carrying_psd_drift=by.asd_drift**2,
-        carrying_psd_tilt=by.asd_tilt**2,
-        wave_yaw_rad_s=2.0 * np.pi / o.wave_yaw_period_s,
-    )
+    computed = {
+        "hold_ns": round(o.hold_s * 1e9),
+        "history_ns": round(o.history_s * 1e9),
+        "max_ahead_ns": round(o.max_ahead_s * 1e9),
+        "leap_ns": round(o.leap_s * 1e9),
+        "velocity_is_over": _SURFACES[o.velocity_is_over],
+        "pad_in_vessel_m": (o.pad_forward_m, o.pad_right_m),
+        "correlation_s": (o.attitude_correlation_s, o.velocity_correlation_s, o.range_correlation_s, o.baro_correlation_s),
+        "nis_max": NIS_MAX[:DL_ROWS_MAX],
+        "carrying_psd_accel": by.asd_accel**2,
+        "carrying_psd_drift": by.asd_drift**2,
+        "carrying_psd_tilt": by.asd_tilt**2,
+        "wave_yaw_rad_s": 2.0 * np.pi / o.wave_yaw_period_s,
+    }
+    others = set(CORE.dtype("dl_filter_params").names or ()) - {"members", *computed}
+    given = {name: getattr(o if hasattr(o, name) else params, name) for name in others}
+    record = CORE.record("dl_filter_params", **given, **computed)
     record["members"] = packed_members()
     record.setflags(write=False)
     return record

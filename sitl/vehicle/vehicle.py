@@ -326,21 +326,13 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
             (av.tilt_drift_sigma_rad, av.tilt_drift_time_s),
         )
     )
-    same = (
-        "mass_kg", "inertia_kg_m2", "thrust_max_n", "torque_max_n_m", "arm_m", "rotor_radius_m", "rotors_above_m",
-        "yaw_torque_per_thrust_m", "drag_per_s", "landing_speed_m_s", "take_off_speed_m_s", "take_off_height_m",
-        "motors_off_after_s",
-    )  # fmt: skip
-    gains = (
-        "tilt_p", "tilt_d", "tilt_max_rad", "yaw_rate_p", "velocity_p", "velocity_d", "velocity_i", "velocity_i_max_m_s2",
-        "climb_p", "climb_d", "climb_i", "climb_i_max_m_s2", "height_p",
-    )  # fmt: skip
-    return SIM.new(
-        "dl_sim_vehicle_params",
-        **{name: getattr(f, name) for name in same},
-        **{name: getattr(k, name) for name in gains},
+    # What the header has by the name that the file has it by is taken as it is.
+    members = set(SIM.dtype("dl_sim_vehicle_params").names or ()) - {"effects"}
+    made = SIM.new("dl_sim_vehicle_params", **{n: getattr(of, n) for of in (f, k, av, feet) for n in members if hasattr(of, n)})
+    SIM.fill(
+        made,
         quad_x=f.layout == "quad_x", rotors=len(each), effect_by_rotor=f.ground_effect == "rotors",
-        flow_sees_deck=av.flow_sees_deck, flow_works=1, all_healthy=1, delay_steps=round(f.command_delay_s / step_s),
+        flow_works=1, all_healthy=1, delay_steps=round(f.command_delay_s / step_s),
         step_s=step_s, motor_lag=_lag(f.motor_lag_s, step_s), tilt_cut_off_cos=math.cos(f.tilt_cut_off_rad),
         rotor_forward=[r.forward for r in each] + spare, rotor_right=[r.right for r in each] + spare,
         rotor_spin=[r.spin for r in each] + spare, rotor_health=1.0,
@@ -348,14 +340,15 @@ def _packed_params(f: Airframe, shape: DeckShape, wind: Wind, step_s: float) -> 
         effect_radius_m=math.sqrt(len(each)) * f.rotor_radius_m,
         observer_share=step_s / (step_s + k.disturbance_s),
         unasked_max_rad_s2=[most / inertia for most, inertia in zip(f.torque_max_n_m, f.inertia_kg_m2, strict=True)],
-        flow_scale=av.flow_scale, flow_lag=_lag(av.flow_lag_s, step_s),
+        flow_lag=_lag(av.flow_lag_s, step_s),
         foot_m=feet.half_base_m, feet_below_m=feet.below_m, hull_top_m=feet.top_m, foot_n_m=feet.stiffness_n_m / 4.0,
         foot_n_s_m=2.0 * feet.DAMPING_RATIO * math.sqrt(feet.stiffness_n_m * f.mass_kg) / 4.0,
-        friction=feet.friction, deck_fore_m=shape.fore_m, deck_aft_m=shape.aft_m, deck_middle_m=middle, deck_half_m=half,
+        deck_fore_m=shape.fore_m, deck_aft_m=shape.aft_m, deck_middle_m=middle, deck_half_m=half,
         deck_taper_m=shape.taper_m, deck_yaw=(cos_yaw, sin_yaw),
         gust_sigma_m_s=wind.gust_sigma_m_s, gust_keep=gust[0], gust_fresh=gust[1], flow_keep=flow[0], flow_fresh=flow[1],
         tilt_keep=tilt[0], tilt_fresh=tilt[1], wind=wind.v_ned, effects=_packed_effects(f, step_s),
     )  # fmt: skip
+    return made
 
 
 def _packed_effects(f: Airframe, step_s: float) -> dict[str, Any]:
