@@ -12,15 +12,12 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
 from estimator.contracts.time import MonoNs, Stamp, seconds_between
 
-_APART_S = 0.1
-"""Time between two samples beyond which their difference says nothing about the rate at the newer one."""
+_APART_S = 0.1  # Time between two samples beyond which their difference says nothing about the rate at the newer one
 DOWN = Rotation.from_rpy(0.0, -0.5 * math.pi, 0.0)
 """A gimbal that points straight down, in `body`."""
-_GAP_S = 0.25
-"""Longest time between two reports that are interpolated: MAVLink requests 5 Hz at least."""
+_GAP_S = 0.25  # Longest time between two reports that are interpolated: MAVLink requests 5 Hz at least
 _SPAN_S = 1.0
-_CURVE = 0.1
-"""Standard deviation of an interpolated attitude, as a fraction of the angle turned between the two reports."""
+_CURVE = 0.1  # Standard deviation of an interpolated attitude, as a fraction of the angle turned between the two reports
 
 
 class AttitudeHistory(Struct, frozen=True):

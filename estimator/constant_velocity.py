@@ -29,14 +29,10 @@ from estimator.paths import Path
 
 GATE_NIS = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
-_KEPT = 5
-"""Number of innovations by which the belief is called consistent."""
-_ACCELERATION_DENSITY_M2_S3 = 1.0
-"""Spectral density of the acceleration of drone and deck along each axis."""
-_SIGMA_V_M_S = 1.0
-"""Standard deviation of the velocity at the first sighting."""
-_SIGMA_HEADING_RATE_RAD_S = 0.01
-"""Drift of the vehicle's heading against the pad's: one standard deviation."""
+_KEPT = 5  # Number of innovations by which the belief is called consistent
+_ACCELERATION_DENSITY_M2_S3 = 1.0  # Spectral density of the acceleration of drone and deck along each axis
+_SIGMA_V_M_S = 1.0  # Standard deviation of the velocity at the first sighting
+_SIGMA_HEADING_RATE_RAD_S = 0.01  # Drift of the vehicle's heading against the pad's: one standard deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -63,13 +63,11 @@ def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sigh
     return ArrowHeading(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
 
 
-_NIS_MAX = 16.27
-"""Chi-square with 3 degrees of freedom, 99.9 %."""
+_NIS_MAX = 16.27  # Chi-square with 3 degrees of freedom, 99.9 %
 _NEVER = MonoNs(0)
 _KNOT_S = 0.004
 _VERTICAL_HOLD_S = 0.5
-_NOT_MEASURED_VAR = 1e3
-"""Variance, (m/s)^2, above which a velocity axis counts as not measured."""
+_NOT_MEASURED_VAR = 1e3  # Variance, (m/s)^2, above which a velocity axis counts as not measured
 
 
 class _Anchor(Struct, frozen=True, eq=False):
@@ -282,12 +280,7 @@ def sighted(state: DeadReckoning, sighting: Sighting) -> tuple[DeadReckoning, Ve
         state = _correct_vertical(state, measured_at, float(innov[2]), seconds_between(last.t, measured_at))
     odo, heading = _past(state, measured_at)
     anchor = _Anchor(
-        t=measured_at,
-        d_fixed=_turned(z, heading),
-        odo=odo,
-        heading_rad=heading,
-        cov=sighting.cov,
-        blind_s=state.blind_s,
+        t=measured_at, d_fixed=_turned(z, heading), odo=odo, heading_rad=heading, cov=sighting.cov, blind_s=state.blind_s
     )
     return replace(state, anchor=anchor, arrow=heading_after(state.arrow, heading, sighting)), Verdict.FUSED
 

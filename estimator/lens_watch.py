@@ -16,10 +16,8 @@ from estimator.contracts.samples import Baseline, Sample
 from estimator.options import EstimatorOptions
 from estimator.paths import EkfPath
 
-_MOUNT_RAD = 0.1
-"""Standard deviation of the camera's orientation: a camera that is knocked aside by degrees is no lens elsewhere."""
-_SURE = 4.0
-"""Standard deviations by which the error has to be beyond the tolerance."""
+_MOUNT_RAD = 0.1  # Standard deviation of the camera's orientation: a camera that is knocked aside by degrees is no lens elsewhere
+_SURE = 4.0  # Standard deviations by which the error has to be beyond the tolerance
 
 
 class LensWatch:

@@ -11,8 +11,7 @@ from estimator.integrity.options import IntegrityOptions
 class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """Carrying the last sighting on by the drone's own velocity and acceleration."""
 
-    velocity_dead_band_m_s: ClassVar[float] = 0.003
-    """Velocity below which it counts as zero (3 mm/s in the thesis' code)."""
+    velocity_dead_band_m_s: ClassVar[float] = 0.003  # Velocity below which it counts as zero (3 mm/s in the thesis' code)
     acceleration_dead_band_m_s2: ClassVar[float] = 0.5
     """Horizontal acceleration below which it counts as zero (0.5 m/s^2 in the thesis' code)."""
     velocity_scale: Annotated[
@@ -21,22 +20,15 @@ class DeadReckoningOptions(CheckedOptions, frozen=True, forbid_unknown_fields=Tr
     sigma_velocity_scale: Annotated[
         float, tuning("one standard deviation of the scale that remains", "1", 0.0, 10.0, "AR.Drone 2.0 over several floors")
     ] = 0.2
-    sigma_pad_v_m_s: ClassVar[float] = 0.15
-    """Standard deviation of the pad's own velocity along each horizontal axis."""
-    sigma_heading_rate_rad_s: ClassVar[float] = 0.01
-    """Drift of the vehicle's heading against the pad's: one standard deviation."""
-    sigma_unknown_v_m_s: ClassVar[float] = 1.0
-    """Standard deviation of a velocity without a recent sample."""
-    sigma_vertical_v_m_s: ClassVar[float] = 0.3
-    """One standard deviation of a vertical velocity that has leaked to zero."""
+    sigma_pad_v_m_s: ClassVar[float] = 0.15  # Standard deviation of the pad's own velocity along each horizontal axis
+    sigma_heading_rate_rad_s: ClassVar[float] = 0.01  # Drift of the vehicle's heading against the pad's: one standard deviation
+    sigma_unknown_v_m_s: ClassVar[float] = 1.0  # Standard deviation of a velocity without a recent sample
+    sigma_vertical_v_m_s: ClassVar[float] = 0.3  # One standard deviation of a vertical velocity that has leaked to zero
     vertical_tau_s: ClassVar[float] = 0.35
     """Within this time the vertical velocity is pulled towards the sightings' rate (drift of an AR.Drone in its own hover)."""
-    vertical_leak_s: ClassVar[float] = 1.0
-    """Within this time the vertical velocity leaks to zero without sightings."""
-    vertical_mean_s: ClassVar[float] = 5.0
-    """The accelerometer's mean over this long is taken for its vertical bias."""
-    hold_s: ClassVar[float] = 0.25
-    """Time for which a measured velocity or acceleration is used."""
+    vertical_leak_s: ClassVar[float] = 1.0  # Within this time the vertical velocity leaks to zero without sightings
+    vertical_mean_s: ClassVar[float] = 5.0  # The accelerometer's mean over this long is taken for its vertical bias
+    hold_s: ClassVar[float] = 0.25  # Time for which a measured velocity or acceleration is used
     history_s: Annotated[
         float, tuning("largest delay of a sighting; estimator.max_delay_s if that is longer", "s", 0.05, 30.0)
     ] = 1.5
@@ -58,8 +50,7 @@ class EstimatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             page=True,
         ),
     ] = "ekf"
-    max_gap_s: ClassVar[float] = 0.5
-    """Gap after which the moving median and mean start again."""
+    max_gap_s: ClassVar[float] = 0.5  # Gap after which the moving median and mean start again
     min_confidence: Annotated[float, tuning("least confidence of a sighting; 1 is certain", "1", 0.0, 1.0)] = UNSURE
     max_delay_s: Annotated[float, tuning("largest age of a frame on arrival; an older one is refused", "s", 0.05, 5.0)] = 0.5
     history_s: Annotated[float, tuning("time for which attitudes are kept for late frames", "s", 0.1, 30.0)] = 2.0

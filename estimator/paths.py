@@ -217,8 +217,7 @@ def _heading(entries: tuple[_Entry, ...], believed: float | None) -> tuple[float
     return circular_mean(running), believed is not None
 
 
-_SIGMA_V_M_S = 0.5
-"""Standard deviation of the relative velocity that a held value ignores."""
+_SIGMA_V_M_S = 0.5  # Standard deviation of the relative velocity that a held value ignores
 
 
 class MedianMeanPath(Path):

@@ -46,10 +46,8 @@ if TYPE_CHECKING:
     from estimator.vision.camera.camera import Camera
     from estimator.vision.camera.rolling import CameraMotion
 
-_MOMENT_S = 1.0
-"""Longest time since a pad was seen after which a frame without an attitude is looked at for it."""
-_ASSUMED_RAD = 0.1
-"""Standard deviation of an assumed attitude, about each axis."""
+_MOMENT_S = 1.0  # Longest time since a pad was seen after which a frame without an attitude is looked at for it
+_ASSUMED_RAD = 0.1  # Standard deviation of an assumed attitude, about each axis
 _READOUT_LEAST_S = 0.01
 """Least time to either side of an exposure over which a rotation is taken, s: over a shorter one it is noise."""
 

@@ -26,8 +26,7 @@ Channel = Literal["heave", "tilt"]
 
 _PERIOD_S, _ALIKE = 0.19, 4.0
 """Least time between two reports that are fused, and number of them in a row whose errors are alike and count as one."""
-_SENSORS_MOST = 32
-"""Sensors that are compared; a ship has a few, and names may be invented."""
+_SENSORS_MOST = 32  # Sensors that are compared; a ship has a few, and names may be invented
 _RECORD_S, _SILENT_S, _STUCK_S = 60.0, 5.0, 3.0
 """Time over which a mean is taken off, of silence after which another sensor is used, and of repeated bits of one that moved."""
 _DELAYS_S, _DELAY_MAX_S = np.arange(-0.3, 1.31, 0.05), 0.6

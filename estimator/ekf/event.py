@@ -27,8 +27,7 @@ Event = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport | VesselMoti
 
 _HEAD = struct.Struct("@I4x3qQ")
 """The numbers of an event before its sample: kind, instants of measuring and of reception, frame, method."""
-_TWO = struct.Struct("2d")
-"""The times for which gyro and accelerometer were lost, s; a distance and its standard deviation, m."""
+_TWO = struct.Struct("2d")  # The times for which gyro and accelerometer were lost, s; a distance and its standard deviation, m
 _new, _bytes_of, _EVENT = CORE.ffi.new, CORE.ffi.buffer, CORE.ffi.typeof("dl_event *")
 
 

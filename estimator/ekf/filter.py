@@ -141,8 +141,7 @@ def probability_of_motion(
     return 1.0 / (1.0 + odds)
 
 
-_CONSISTENT_NIS = 2.0
-"""Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance."""
+_CONSISTENT_NIS = 2.0  # Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance
 _VERDICTS = {value: Verdict[name.removeprefix("DL_")] for name, value in CORE.names("dl_verdict").items()}
 _EVENTS = CORE.ffi.typeof("dl_event[]")
 _TURN_LIES = "her rate of turn contradicts the camera; flying without it"

@@ -34,16 +34,13 @@ from estimator.integrity.tracks import Arbiter, Place, Tracks
 
 _EVIDENCE_NS = 1_000_000_000
 """Time for which an alert outlives its newest evidence: the silence of a stream is reported by itself."""
-_ABOVE_M = 0.3
-"""Height above the body from which no pad can be: a camera that looks down stands on it at the most."""
+_ABOVE_M = 0.3  # Height above the body from which no pad can be: a camera that looks down stands on it at the most
 _UNSEEN = SensorWatch()
 _UNCHECKED = (GeoFix, GimbalAttitude, VesselMotion, VesselWind, Baseline)
 """Samples whose arrival alone is checked here. Their union, written out, would be made again for each sample."""
-_QUICK = (Imu, Attitude, BodyVelocity)
-"""Samples with a stamp of their own each, many a second."""
+_QUICK = (Imu, Attitude, BodyVelocity)  # Samples with a stamp of their own each, many a second
 _REPEATS = "the velocity repeats its readings; flying without it"
-_SWUNG_SIGMAS = 5.0
-"""Standard deviations on one axis within which a pad that was swung out of sight is looked for."""
+_SWUNG_SIGMAS = 5.0  # Standard deviations on one axis within which a pad that was swung out of sight is looked for
 
 
 class IntegrityGuard(Struct, frozen=True):

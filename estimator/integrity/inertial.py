@@ -48,8 +48,7 @@ _STILL_RIGHT_S = 10.0
 """Time after the last sight for which the velocity stays right that sightings took the side of: the attitude errs as long."""
 _PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
 """Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
-_TURNED_RAD_S = math.radians(8.0)
-"""Least turn, a root mean square, at which a wrong sense is detected."""
+_TURNED_RAD_S = math.radians(8.0)  # Least turn, a root mean square, at which a wrong sense is detected
 _SHOWN_LEAST_RAD_S, _UNIT_TIMES, _ALIKE = math.radians(1.0), 15.0, 0.85
 """Least turn that shows a unit or an axis, a root mean square; how many times as much is another unit; and least correlation."""
 _THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 8.0
@@ -67,13 +66,11 @@ _FELT_LEAST, _FELT_MOST = 0.85 * G_M_S2, 1.5 * G_M_S2
 _ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
 """Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
 _USUAL_MIN = 15
-_BIN_SHARE = 0.01
-"""Weight of one bin in the long-run mean: it takes ten seconds to change."""
+_BIN_SHARE = 0.01  # Weight of one bin in the long-run mean: it takes ten seconds to change
 _SIGMAS = 5.0
 _GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
 """Errors that the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
-_INFLATED = 2.0
-"""Residuals of neighbouring bins are alike."""
+_INFLATED = 2.0  # Residuals of neighbouring bins are alike
 _SHARE = 0.4
 _PLACE_S, _VELOCITY_S = 2.0, 1.2
 _PLACES, _VELOCITIES = 14, 8

@@ -22,20 +22,13 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     speed_max_m_s: Annotated[
         float, tuning("largest plausible speed of the vehicle or vessel; a larger one is refused", "m/s", 1.0, 100.0)
     ] = 20.0
-    acceleration_max_m_s2: ClassVar[float] = 30.0
-    """Largest acceleration between two velocity samples."""
-    velocity_step_m_s: ClassVar[float] = 1.5
-    """Step of velocity that is allowed in addition, for the sensor's noise."""
-    tilt_rate_max_rad_s: ClassVar[float] = 8.0
-    """Largest rate of roll and pitch between two samples."""
-    tilt_step_rad: ClassVar[float] = math.radians(20.0)
-    """Step of roll and pitch that is allowed in addition."""
-    height_rate_max_m_s: ClassVar[float] = 20.0
-    """Largest rate of height between two samples of the barometer."""
-    height_step_m: ClassVar[float] = 5.0
-    """Step of a barometer's height that is allowed in addition, for a gust at its port."""
-    spike_s: ClassVar[float] = 0.5
-    """Time after which a step that persists is accepted, because it is not a spike."""
+    acceleration_max_m_s2: ClassVar[float] = 30.0  # Largest acceleration between two velocity samples
+    velocity_step_m_s: ClassVar[float] = 1.5  # Step of velocity that is allowed in addition, for the sensor's noise
+    tilt_rate_max_rad_s: ClassVar[float] = 8.0  # Largest rate of roll and pitch between two samples
+    tilt_step_rad: ClassVar[float] = math.radians(20.0)  # Step of roll and pitch that is allowed in addition
+    height_rate_max_m_s: ClassVar[float] = 20.0  # Largest rate of height between two samples of the barometer
+    height_step_m: ClassVar[float] = 5.0  # Step of a barometer's height that is allowed in addition, for a gust at its port
+    spike_s: ClassVar[float] = 0.5  # Time after which a step that persists is accepted, because it is not a spike
 
     heading_tolerance_deg: ClassVar[float] = 6.0
     """Difference between the reported heading and the one that the gyro holds above which the latter is taken."""
@@ -45,14 +38,11 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     imu_frozen_s: ClassVar[float] = 0.15
     """Time after which an IMU that repeats the same bits is refused (5 ms on a real AR.Drone)."""
-    attitude_frozen_s: ClassVar[float] = 0.25
-    """Time after which an attitude that repeats the same bits is refused."""
-    velocity_frozen_s: ClassVar[float] = 0.5
-    """Time after which a velocity that repeats the same bits in flight is refused."""
+    attitude_frozen_s: ClassVar[float] = 0.25  # Time after which an attitude that repeats the same bits is refused
+    velocity_frozen_s: ClassVar[float] = 0.5  # Time after which a velocity that repeats the same bits in flight is refused
     range_frozen_s: ClassVar[float] = 2.0
     """Time after which a range that repeats the same bits is refused (0.12 s on a real AR.Drone)."""
-    baro_frozen_s: ClassVar[float] = 2.0
-    """Time after which a barometer that repeats the same bits is refused."""
+    baro_frozen_s: ClassVar[float] = 2.0  # Time after which a barometer that repeats the same bits is refused
 
     clock_step_max_s: ClassVar[float] = 1.0
     """Difference of a time of reception from all others above which it is refused until others confirm it."""
@@ -65,8 +55,7 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     delay_settle_s: ClassVar[float] = 10.0
     """Time after which a changed delay of frames is the new delay: on the ground, or where the one before held for less than
     delay_keep_s."""
-    delay_keep_s: ClassVar[float] = 3.0
-    """Time after which the frames' delay gives way to no other before the vehicle stands."""
+    delay_keep_s: ClassVar[float] = 3.0  # Time after which the frames' delay gives way to no other before the vehicle stands
 
     view_turned_min_rad: ClassVar[float] = 0.01
     """Least rotation of the body, one standard deviation within half a second; beyond it, a pad that keeps its position in the
@@ -88,8 +77,7 @@ class IntegrityOptions(Struct, frozen=True, forbid_unknown_fields=True):
     range_tolerance_m: Annotated[
         float, tuning("largest difference between range sensor and camera over the pad", "m", 0.01, 100.0)
     ] = 0.08
-    range_tolerance_fraction: ClassVar[float] = 0.08
-    """The same as a fraction of the height, in addition."""
+    range_tolerance_fraction: ClassVar[float] = 0.08  # The same as a fraction of the height, in addition
     range_disagree_s: ClassVar[float] = 1.0
     """Time for which range sensor and camera must differ for the descent to end; a third where they differ much."""
     deck_radius_m: Annotated[

@@ -30,13 +30,10 @@ from estimator.contracts.geometry import F64, fixed_vector
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
 
-_LONGEST = 3.0
-"""Factor on the time limit for a sensor of coarse steps that repeated itself in flight."""
+_LONGEST = 3.0  # Factor on the time limit for a sensor of coarse steps that repeated itself in flight
 _MOST_S = 1.0
-_TURN_S = 0.02
-"""Least time between the two attitudes whose difference is a rate."""
-_OLD_S = 0.1
-"""Age of an attitude from which it says nothing of the present turn."""
+_TURN_S = 0.02  # Least time between the two attitudes whose difference is a rate
+_OLD_S = 0.1  # Age of an attitude from which it says nothing of the present turn
 
 
 class Half(Struct, frozen=True):
@@ -122,14 +119,11 @@ def replace_halves(imu: Imu, gyro_lost_s: float, accel_lost_s: float, turn: Turn
 _BIN_S = 0.1
 _GAP_S = 0.3
 _SAMPLES_MIN = 3
-_KEPT = 25
-"""Number of bins that are kept: the longest window, and the time by which a sighting is late."""
+_KEPT = 25  # Number of bins that are kept: the longest window, and the time by which a sighting is late
 _UNMEASURED_VAR = 1e3
-_SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)
-"""Trace of a rotation by a radian."""
+_SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)  # Trace of a rotation by a radian
 _PICTURES, _SHOWN = 4, 0.6
-_SHOWN_RAD = math.radians(0.8)
-"""Least difference, a root mean square, that images resolve: at 7 m they err by half a degree."""
+_SHOWN_RAD = math.radians(0.8)  # Least difference, a root mean square, that images resolve: at 7 m they err by half a degree
 
 Vec3 = tuple[float, float, float]
 Point = tuple[int, Vec3]

@@ -28,10 +28,8 @@ from estimator.integrity.options import IntegrityOptions
 
 Reading = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport
 
-_STEP_OVER_S = 0.1
-"""Longest time over which a step's limit grows. Without this bound, any spike would pass after a long pause."""
-_UNMEASURED_VAR = 1e3
-"""Variance above which a velocity component was not measured."""
+_STEP_OVER_S = 0.1  # Longest time over which a step's limit grows. Without this bound, any spike would pass after a long pause.
+_UNMEASURED_VAR = 1e3  # Variance above which a velocity component was not measured
 
 
 class Repeat(Struct, frozen=True):
@@ -138,10 +136,8 @@ def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: Inte
     return step > o.height_step_m + o.height_rate_max_m_s * dt
 
 
-_EVERY = 16
-"""Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms."""
-_KEPT = 16
-"""Number of frames whose digest is kept: more than the buffer ring of a capture driver holds."""
+_EVERY = 16  # Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms
+_KEPT = 16  # Number of frames whose digest is kept: more than the buffer ring of a capture driver holds
 _FROZEN_RUN = 3
 
 
@@ -178,8 +174,7 @@ _CONFIRMED_BY = 5
 _CONFIRMED_IN_NS = 200_000_000
 _MEDIAN_STEP_S = 0.002
 _FIRST_FEW = 8
-_STANDS_NS = 100_000_000
-"""Time of arrival over which the stamps of a quick stream have not gone on, after which its clock stands."""
+_STANDS_NS = 100_000_000  # Time of arrival over which the stamps of a quick stream have not gone on, after which its clock stands
 
 
 class _Rival(NamedTuple):

@@ -30,33 +30,27 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Attitude
 from estimator.integrity.options import IntegrityOptions
 
-_BESIDE_S = 0.1
-"""Largest age of a sighting whose neighbourhood may explain the next one."""
+_BESIDE_S = 0.1  # Largest age of a sighting whose neighbourhood may explain the next one
 _SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
 """Allowed difference of two sightings of one pad per second between them, for the vehicle's velocity and tilt over the deck."""
 _BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
 """Limits on the distance that an uncertain belief may explain, sideways and in height. Height has a check of its own."""
 _SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
-_TURN_RAD_S = 1.0
-"""Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind."""
+_TURN_RAD_S = 1.0  # Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind
 _SUDDEN_S = 0.5
 """Time since the tracked pad was last seen within which no estimate has drifted off: a picture that shows it elsewhere leapt."""
-_SURELY = 0.9
-"""Share of the distance to another pad that is left for the errors of two looks."""
+_SURELY = 0.9  # Share of the distance to another pad that is left for the errors of two looks
 _FARTHER = 2.0
 """Factor by which the estimate would have drifted farther if what came back were another pad than the only one ever seen."""
-_CLEAR_SLOPE = 0.35
-"""Distance about the tracked pad over the height that a frame may show clear of a second one."""
+_CLEAR_SLOPE = 0.35  # Distance about the tracked pad over the height that a frame may show clear of a second one
 _SWING_RAD_S, _SWING_RAD = 4.0, 0.35
 """Largest rate and angle of the body's turns while its own hover begins."""
-_ALONE_S = 0.2
-"""Time for which a look at one pad alone serves those after it."""
+_ALONE_S = 0.2  # Time for which a look at one pad alone serves those after it
 _DISC = np.array([(x, y) for x in np.linspace(-1, 1, 21) for y in np.linspace(-1, 1, 21) if math.hypot(x, y) < 1.05])
 """Places, (N, 2), on a disc of radius 1."""
 _ALIVE_S, _LOOKS = 1.0, 3.0
 """Time for which a candidate counts that is not seen again: at least, and as a multiple of the time between two sightings."""
-_LATE = 0.3
-"""Weight of the newest time between two sightings in their mean."""
+_LATE = 0.3  # Weight of the newest time between two sightings in their mean
 _MOST = 4
 _SEEN_AT_LEAST = 3
 _ESTABLISHED = 8
@@ -343,16 +337,13 @@ def _apart(a: Place, b: Place) -> tuple[float, float]:
     return math.dist(a.d[:2], b.d[:2]), abs(a.d[2] - b.d[2])
 
 
-_PSD = 4.0
-"""Density of the unknown acceleration of pad and vehicle, (m/s^2)^2/Hz: 2 m/s^2 that last for half a second."""
-_SPEED_VAR = 4.0
-"""Variance of the velocity at the start, (m/s)^2."""
+_PSD = 4.0  # Density of the unknown acceleration of pad and vehicle, (m/s^2)^2/Hz: 2 m/s^2 that last for half a second
+_SPEED_VAR = 4.0  # Variance of the velocity at the start, (m/s)^2
 _FLOOR_M, _FLOOR_FRACTION = 0.05, 0.03
 """Floor of the standard deviation that no covariance contains, m, and by distance: mount, level and frame delay."""
 _FLOOR_M_S = 0.4
 _SIGMAS = 5.0
-_PAUSE_S = 0.5
-"""Time without a sighting after which the arbiter begins again."""
+_PAUSE_S = 0.5  # Time without a sighting after which the arbiter begins again
 _FRESH_S = 0.3
 _MISSES = 5
 _FOLLOWED = 15

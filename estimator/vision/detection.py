@@ -22,18 +22,15 @@ from estimator.contracts.estimates import UNKNOWN_YAW_VAR, UNSURE, Method, Sight
 from estimator.contracts.geometry import F64, wrap_pi
 from estimator.contracts.time import MonoNs
 
-_AGREE_XYZ = 16.27
-"""Chi-square limit, 3 degrees of freedom, 99.9 %."""
-_AGREE_YAW = 10.83
-"""Chi-square limit, 1 degree of freedom, 99.9 %."""
+_AGREE_XYZ = 16.27  # Chi-square limit, 3 degrees of freedom, 99.9 %
+_AGREE_YAW = 10.83  # Chi-square limit, 1 degree of freedom, 99.9 %
 _COARSE = 0.003
 """Error that worn paint, shade and a tilted deck add to the thesis' methods, one standard deviation, in parts of the distance.
 
 Their own covariance does not contain it. A disagreement of a few of these is no reason to reject a cue.
 """
 
-_FAR_M = 10.0
-"""Distance that a pad may at least have which something else is taken for."""
+_FAR_M = 10.0  # Distance that a pad may at least have which something else is taken for
 
 
 def covered(seen: Sighting | None) -> Sighting | None:
@@ -91,30 +88,29 @@ def _size(cue: Sighting) -> float:
 
 def _intersected(cues: list[Sighting], confidence: float) -> Sighting:
     """Return the covariance intersection of cues that agree; the most certain cue comes first."""
-    first = cues[0]
-    sure = next((cue for cue in cues if cue.yaw_rad is not None and not cue.yaw_ambiguous), None)
-    source = sure or next((cue for cue in cues if cue.yaw_rad is not None), None)
-    reference = 0.0 if source is None or source.yaw_rad is None else source.yaw_rad
+    headings = [(cue.yaw_ambiguous, cue.yaw_rad) for cue in cues if cue.yaw_rad is not None]
+    # The first heading that is not ambiguous, else the first one.
+    ambiguous, reference = min(headings, key=lambda of: of[0], default=(False, None))
     # There is almost no information about a heading that a cue does not give.
     covs = [cue.cov if cue.yaw_rad is not None else _with_unknown_yaw(cue.cov) for cue in cues]
     informations = [np.asarray(np.linalg.inv(cov)) for cov in covs]
     sizes = np.array([1.0 / np.trace(cue.cov[:3, :3]) for cue in cues])
     weights = sizes / sizes.sum()
-    total = sum((w * info for w, info in zip(weights, informations, strict=True)), np.zeros((4, 4)))
-    vector = np.zeros(4)
+    total, vector = np.zeros((4, 4)), np.zeros(4)
     for w, info, cue in zip(weights, informations, cues, strict=True):
-        vector += w * info @ np.append(cue.d_body_pad_level, _turn_from(cue, reference))
-    cov = np.linalg.inv(total)
+        total += w * info
+        vector += w * info @ np.append(cue.d_body_pad_level, _turn_from(cue, reference or 0.0))
+    cov: F64 = np.asarray(np.linalg.inv(total))
     fused = cov @ vector
-    yaw = None if source is None else wrap_pi(reference + float(fused[3]))
+    yaw = None if reference is None else wrap_pi(reference + float(fused[3]))
     if yaw is None:
         cov = _with_unknown_yaw(cov)
     return structs.replace(
-        first,
+        cues[0],
         method="fused",
         d_body_pad_level=fused[:3],
         yaw_rad=yaw,
-        yaw_ambiguous=yaw is not None and sure is None,
+        yaw_ambiguous=ambiguous,
         cov=0.5 * (cov + cov.T),
         confidence=min(1.0, confidence),
         pose6=next((cue.pose6 for cue in cues if cue.pose6 is not None), None),

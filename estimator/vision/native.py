@@ -25,14 +25,10 @@ from estimator.vision.srgb import LINEAR_LIGHT, light_of_tone
 
 FLOOR = 0.01
 """Light, as a fraction of full scale, below which there is only noise."""
-_KEPT = 6
-"""Number of trackers that a thread keeps."""
-_OUTLINE_STEP = 4
-"""Every so many points of the edges are in an outline."""
-_STROKES_MARGIN_M = 0.035
-"""Width of the disc around the H that counts."""
-_LEAST_SPAN = 0.05
-"""Least difference of H and disc in a channel, linear light, for measuring the ring's place between them."""
+_KEPT = 6  # Number of trackers that a thread keeps
+_OUTLINE_STEP = 4  # Every so many points of the edges are in an outline
+_STROKES_MARGIN_M = 0.035  # Width of the disc around the H that counts
+_LEAST_SPAN = 0.05  # Least difference of H and disc in a channel, linear light, for measuring the ring's place between them
 
 
 class _OfThread(threading.local):

@@ -44,13 +44,7 @@ class TrackerOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "off"
     learned_file: Annotated[
-        str,
-        text(
-            "network that checks, an ONNX file; empty for the shipped one",
-            4096,
-            shortest=0,
-            public=True,
-        ),
+        str, text("network that checks, an ONNX file; empty for the shipped one", 4096, shortest=0, public=True)
     ] = ""
 
     @property

@@ -40,16 +40,14 @@ LensModel = Literal["brown", "fisheye"]
 _OPTIONAL = {"lens", "distortion", "p_body_cam_m", "mount_cov_deg2", "readout_s", "focal_sigma"}
 _KEYS = {"width", "height", "fx", "fy", "cx", "cy", "rpy_body_cam_deg"} | _OPTIONAL
 _DOWN = "; [0.0, 0.0, 90.0] looks straight down, the picture's top to the nose"
-_LARGEST_PX = 16_384
-"""Largest width and height of an image; a square image of that size is the largest that fits in memory."""
+_LARGEST_PX = 16_384  # Largest width and height of an image; a square image of that size is the largest that fits in memory
 _FOCAL_PX = 1.0, 1e6
 _DISTORTION_MAX = 1e3
 _MOUNT_MAX_M = 100.0
 _MOUNT_VAR_MAX_DEG2 = 30.0**2
 _READOUT_MAX_S = 0.1
 _FOCAL_SIGMA_MAX = 0.2
-_WIDEST_RAD = 1.5
-"""Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle."""
+_WIDEST_RAD = 1.5  # Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,23 +96,10 @@ class Camera:
 
     def __post_init__(self) -> None:
         d = np.array(self.distortion, dtype=float)
-        if self.lens not in get_args(LensModel):
-            raise ValueError(f"lens must be one of {', '.join(get_args(LensModel))}, got {self.lens!r}")
-        names = "five finite numbers k1, k2, p1, p2, k3" if self.lens == "brown" else "four finite numbers k1, k2, k3, k4"
-        if d.shape != ((5,) if self.lens == "brown" else (4,)) or not np.all(np.isfinite(d)):
-            raise ValueError(f"distortion needs {names}, got {self.distortion!r}")
-        if self.width < 16 or self.height < 16:
-            raise ValueError(f"a frame of {self.width}x{self.height} px is too small")
-        if max(self.width, self.height) > _LARGEST_PX:
-            raise ValueError(f"a frame of {self.width}x{self.height} px is too large; at most {_LARGEST_PX} px a side are read")
-        if not (_FOCAL_PX[0] <= self.fx <= _FOCAL_PX[1] and _FOCAL_PX[0] <= self.fy <= _FOCAL_PX[1]):
-            raise ValueError(f"fx and fy must lie in {_FOCAL_PX[0]:g}..{_FOCAL_PX[1]:g} px, got {self.fx!r} and {self.fy!r}")
-        if not (abs(self.cx) <= _FOCAL_PX[1] and abs(self.cy) <= _FOCAL_PX[1]):
-            raise ValueError(f"cx and cy must be within {_FOCAL_PX[1]:g} px of the frame's corner, got {self.cx!r}, {self.cy!r}")
+        self._check_lens(d)
+        self._check_frame()
         if np.max(np.abs(self.T_body_cam.t)) > _MOUNT_MAX_M:
             raise ValueError(f"a camera cannot be mounted more than {_MOUNT_MAX_M:g} m from the body's origin")
-        if np.max(np.abs(d)) > _DISTORTION_MAX:
-            raise ValueError(f"distortion of more than {_DISTORTION_MAX:g} is no lens, got {d.tolist()}")
         if not abs(self.readout_s) <= _READOUT_MAX_S:
             raise ValueError(f"readout_s must lie in {-_READOUT_MAX_S:g}..{_READOUT_MAX_S:g} s, got {self.readout_s!r}")
         if not 0.0 <= self.focal_sigma <= _FOCAL_SIGMA_MAX:
@@ -134,6 +119,25 @@ class Camera:
         numbers = (self.width, self.height, self.lens, *alone, *arrays)
         object.__setattr__(self, "_numbers", numbers)
         object.__setattr__(self, "_hash", hash(numbers))
+
+    def _check_lens(self, d: F64) -> None:
+        if self.lens not in get_args(LensModel):
+            raise ValueError(f"lens must be one of {', '.join(get_args(LensModel))}, got {self.lens!r}")
+        names = "five finite numbers k1, k2, p1, p2, k3" if self.lens == "brown" else "four finite numbers k1, k2, k3, k4"
+        if d.shape != ((5,) if self.lens == "brown" else (4,)) or not np.all(np.isfinite(d)):
+            raise ValueError(f"distortion needs {names}, got {self.distortion!r}")
+        if np.max(np.abs(d)) > _DISTORTION_MAX:
+            raise ValueError(f"distortion of more than {_DISTORTION_MAX:g} is no lens, got {d.tolist()}")
+
+    def _check_frame(self) -> None:
+        if self.width < 16 or self.height < 16:
+            raise ValueError(f"a frame of {self.width}x{self.height} px is too small")
+        if max(self.width, self.height) > _LARGEST_PX:
+            raise ValueError(f"a frame of {self.width}x{self.height} px is too large; at most {_LARGEST_PX} px a side are read")
+        if not (_FOCAL_PX[0] <= self.fx <= _FOCAL_PX[1] and _FOCAL_PX[0] <= self.fy <= _FOCAL_PX[1]):
+            raise ValueError(f"fx and fy must lie in {_FOCAL_PX[0]:g}..{_FOCAL_PX[1]:g} px, got {self.fx!r} and {self.fy!r}")
+        if not (abs(self.cx) <= _FOCAL_PX[1] and abs(self.cy) <= _FOCAL_PX[1]):
+            raise ValueError(f"cx and cy must be within {_FOCAL_PX[1]:g} px of the frame's corner, got {self.cx!r}, {self.cy!r}")
 
     def __eq__(self, other: object) -> bool:
         return self._numbers == other._numbers if isinstance(other, Camera) else NotImplemented

@@ -74,30 +74,35 @@ def _value(node: Any) -> Any:
 
 def _mapping(found: Mapping[str, Any], path: str) -> dict[str, Any]:
     """Return the keys of our own camera file."""
+    data = _of_camera(found, path)
+    numbers = _numbers(_first(data, _MATRIX))
+    if len(numbers) not in (4, 9):
+        raise BadInput(f"{path}: it has no camera matrix (camera_matrix or intrinsics) of four or nine numbers")
+    fx, fy, cx, cy = numbers if len(numbers) == 4 else (numbers[k] for k in (0, 4, 2, 5))
+    size = width, height = _size(data, path)
+    kind = str(data.get("distortion_model") or data.get("model") or ("fisheye" if data.get("fisheye_model") else ""))
+    coefficients = _numbers(_first(data, _COEFFICIENTS))
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    bent = _fisheye(matrix, size, coefficients, path) if kind in _FISHEYE else _brown(matrix, size, kind, coefficients, path)
+    return {
+        "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy,
+        "lens": "fisheye" if kind in _FISHEYE else "brown", "distortion": bent, "rpy_body_cam_deg": _DOWN_RPY_DEG,
+    }  # fmt: skip
+
+
+def _of_camera(found: Mapping[str, Any], path: str) -> Mapping[str, Any]:
+    """Return the part of a file that is of its one camera, with whole frames of a pinhole."""
     cameras = [key for key, value in found.items() if isinstance(value, dict) and "intrinsics" in value]
     if len(cameras) > 1:
         raise BadInput(f"{path}: it holds {len(cameras)} cameras ({', '.join(cameras)}): leave the one that looks down")
-    data = found[cameras[0]] if cameras else found
+    data: Mapping[str, Any] = found[cameras[0]] if cameras else found
     if (model := data.get("camera_model", "pinhole")) != "pinhole":
         raise BadInput(f"{path}: camera_model {model!r} is not read; pinhole is")
     if any(data.get(key) not in (None, 0.0, 1.0) for key in ("binning_x", "binning_y")):
         raise BadInput(f"{path}: its frames are binned: give the camera_info of the frames as they are")
     if isinstance(part := data.get("roi"), dict) and any(part.get(key) for key in ("x_offset", "y_offset")):
         raise BadInput(f"{path}: its frames are a part of the sensor (roi): give the camera_info of whole frames")
-    numbers = _numbers(_first(data, _MATRIX))
-    if len(numbers) not in (4, 9):
-        raise BadInput(f"{path}: it has no camera matrix (camera_matrix or intrinsics) of four or nine numbers")
-    fx, fy, cx, cy = numbers if len(numbers) == 4 else (numbers[k] for k in (0, 4, 2, 5))
-    width, height = _size(data, path)
-    kind = str(data.get("distortion_model") or data.get("model") or ("fisheye" if data.get("fisheye_model") else ""))
-    coefficients = _numbers(_first(data, _COEFFICIENTS))
-    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    size = width, height
-    bent = _fisheye(matrix, size, coefficients, path) if kind in _FISHEYE else _brown(matrix, size, kind, coefficients, path)
-    return {
-        "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy,
-        "lens": "fisheye" if kind in _FISHEYE else "brown", "distortion": bent, "rpy_body_cam_deg": _DOWN_RPY_DEG,
-    }  # fmt: skip
+    return data
 
 
 def _size(data: Mapping[str, Any], path: str) -> tuple[int, int]:
@@ -139,8 +144,6 @@ def _fisheye(matrix: F64, size: tuple[int, int], coefficients: list[float], path
 
 def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: str) -> list[float]:
     """Return our five coefficients for a lens of another kind."""
-    import cv2
-
     if not kind and len(coefficients) == 4 and any(coefficients):
         raise BadInput(
             f"{path}: four coefficients may be a fisheye's: add distortion_model: equidistant (for cv2.fisheye) or plumb_bob"
@@ -151,18 +154,25 @@ def _brown(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[flo
         return coefficients[:5]
     if kind not in _BROWN | {"rational_polynomial"}:
         raise BadInput(f"{path}: distortion_model {kind!r} is not read; plumb_bob, radtan, rational_polynomial, equidistant are")
+    return _brown_of_rational(matrix, size, kind or "rational", coefficients, path)
+
+
+def _brown_of_rational(matrix: F64, size: tuple[int, int], kind: str, coefficients: list[float], path: str) -> list[float]:
+    """Return our five coefficients that fit a rational lens over the frame."""
+    import cv2
+
     uv = np.stack(np.meshgrid(np.linspace(0, size[0] - 1, _GRID), np.linspace(0, size[1] - 1, _GRID)), axis=2).reshape(-1, 1, 2)
     try:
         xy = _undistorted(uv, matrix, coefficients)
     except cv2.error as why:
-        raise BadInput(f"{path}: no lens of the model {kind or 'rational'} has these {len(coefficients)} coefficients") from why
+        raise BadInput(f"{path}: no lens of the model {kind} has these {len(coefficients)} coefficients") from why
     seen = (uv.reshape(-1, 2) - matrix[:2, 2]) / np.diag(matrix)[:2]
     fitted = _fitted(xy, seen)
     misfit_px = np.linalg.norm((_offsets(xy) @ fitted - (seen - xy).ravel()).reshape(-1, 2) * np.diag(matrix)[:2], axis=1)
     worst_px = float(misfit_px.max()) if np.all(np.isfinite(misfit_px)) else np.inf
     if not worst_px <= _MISFIT_MAX_PX:
         raise BadInput(
-            f"{path}: its lens ({kind or 'rational'}) differs by {worst_px:.1f} px from any that is flown with: "
+            f"{path}: its lens ({kind}) differs by {worst_px:.1f} px from any that is flown with: "
             "crop or rectify the frames, or calibrate this camera with `decklander calibrate camera`"
         )
     return [float(v) for v in fitted]

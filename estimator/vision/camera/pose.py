@@ -70,8 +70,7 @@ SIGMA_DECK_RAD = TrackerOptions().deck_tilt_sigma_rad
 """Standard deviation of roll and pitch of a deck that is assumed level: a supply vessel's in a slight sea (data: waves/FACTS.md
 gives 1..4 degrees).
 """
-_MIN_DOWN = 0.2
-"""Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical."""
+_MIN_DOWN = 0.2  # Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical
 
 
 class Orientation(Struct, frozen=True, eq=False):

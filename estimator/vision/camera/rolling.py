@@ -17,14 +17,11 @@ from estimator.contracts.geometry import F64, skew
 from estimator.vision.camera.camera import Camera
 from estimator.vision.camera.pose import PadPose
 
-_BLOCK_PX = 8
-"""Size of the squares of the frame within which the displacement is interpolated."""
-_SMALL_PX = 0.05
-"""A frame in which nothing is displaced by more is left as it is."""
+_BLOCK_PX = 8  # Size of the squares of the frame within which the displacement is interpolated
+_SMALL_PX = 0.05  # A frame in which nothing is displaced by more is left as it is
 _LARGEST_PX = 15.0
 """A displacement beyond it comes from a wrong belief rather than from a shutter, and the frame is left as it is."""
-_FLAT = 0.05
-"""Least sine between a ray and the pad's plane at which the plane is looked at."""
+_FLAT = 0.05  # Least sine between a ray and the pad's plane at which the plane is looked at
 
 
 class CameraMotion(NamedTuple):

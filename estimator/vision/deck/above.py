@@ -16,8 +16,7 @@ from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detection import NearThing
 from estimator.vision.native import checked, image_of
 
-_LEVEL_MOST = 3
-"""Smallest size of the frame that is read: of smaller ones too much is lost where the frame ends."""
+_LEVEL_MOST = 3  # Smallest size of the frame that is read: of smaller ones too much is lost where the frame ends
 MOVED_LASTS_S = 10.0
 """Time for which what moves counts, s."""
 STANDING_LASTS_S = 60.0

@@ -27,58 +27,33 @@ from estimator.vision.deck.heights import CLUSTER_M, COLUMNS, STANDS_REACH_M, He
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.detection import NearThing
 
-_GAP_S = 0.7
-"""Longest time that a corner is followed across."""
-_STEP_M = 0.016
-"""Size of a pixel of the picture from above."""
-_MESH = 10
-"""Size of the mesh on which that is drawn, in such pixels."""
-_FAR_PX_M = 0.03
-"""Size of the frame's pixels on the deck from which on it is too far away."""
-_RING_M = 0.15
-"""Width of the ring about the pad that is worth a reading."""
-_OFF_DISC = 1.08
-"""Start of that ring, in radii of the disc."""
-_MOVES_REACH_M = 1.5
-"""Distance beyond the disc within which what moves counts."""
-_CORNERS = 80
-"""Number of corners that are followed."""
-_APART_PX = 6
-"""Least distance of two corners."""
-_QUALITY = 0.02
-"""Least quality of a corner, of the best one's (Shi and Tomasi)."""
-_WINDOW = (13, 13)
-"""Window of a corner that is followed, px."""
-_BACK_PX = 0.4
-"""Largest difference after following a corner back."""
-_MARGIN = 8
-"""Least distance from where the frame ends, px."""
-_KEY_S = 5.0
-"""Longest time that the same picture is followed."""
-_LEFT = 0.4
-"""Least part of a picture's corners that is followed on."""
-_GROWN_KEEPS = (0.65, 1.3)
-"""Heights, in parts of that of the picture, between which the picture is kept."""
-_GROWN_FOLLOWS = (0.5, 1.5)
-"""Heights between which its corners can be followed at all."""
-_ASTRAY = 2.0
-"""Spread about the deck from which on a reading confirms nothing: in its picture the pad was registered wrongly."""
-_AGREE = 3
-"""Least number of corners that agree."""
-_FOLLOWED = 2
-"""Least number of those that are still followed."""
-_LOST_S = 1.5
-"""Time for which a corner that was lost agrees with others."""
-_SURE = 6
-"""Number of readings that show a standing thing from which on it counts for its whole time."""
-_MOVED_SURE = 2
-"""The same of one that moves."""
+_GAP_S = 0.7  # Longest time that a corner is followed across
+_STEP_M = 0.016  # Size of a pixel of the picture from above
+_MESH = 10  # Size of the mesh on which that is drawn, in such pixels
+_FAR_PX_M = 0.03  # Size of the frame's pixels on the deck from which on it is too far away
+_RING_M = 0.15  # Width of the ring about the pad that is worth a reading
+_OFF_DISC = 1.08  # Start of that ring, in radii of the disc
+_MOVES_REACH_M = 1.5  # Distance beyond the disc within which what moves counts
+_CORNERS = 80  # Number of corners that are followed
+_APART_PX = 6  # Least distance of two corners
+_QUALITY = 0.02  # Least quality of a corner, of the best one's (Shi and Tomasi)
+_WINDOW = (13, 13)  # Window of a corner that is followed, px
+_BACK_PX = 0.4  # Largest difference after following a corner back
+_MARGIN = 8  # Least distance from where the frame ends, px
+_KEY_S = 5.0  # Longest time that the same picture is followed
+_LEFT = 0.4  # Least part of a picture's corners that is followed on
+_GROWN_KEEPS = (0.65, 1.3)  # Heights, in parts of that of the picture, between which the picture is kept
+_GROWN_FOLLOWS = (0.5, 1.5)  # Heights between which its corners can be followed at all
+_ASTRAY = 2.0  # Spread about the deck from which on a reading confirms nothing: in its picture the pad was registered wrongly
+_AGREE = 3  # Least number of corners that agree
+_FOLLOWED = 2  # Least number of those that are still followed
+_LOST_S = 1.5  # Time for which a corner that was lost agrees with others
+_SURE = 6  # Number of readings that show a standing thing from which on it counts for its whole time
+_MOVED_SURE = 2  # The same of one that moves
 _FADES = 12
 """Readings of a place without a thing after which one that was shown less is nothing: wrongly followed corners agree once."""
-_LEVEL_M = 0.05
-"""Largest difference in height of corners that agree."""
-_LEVEL_PART = 0.5
-"""The same in parts of their height: a thing's top, a person's head and shoulders."""
+_LEVEL_M = 0.05  # Largest difference in height of corners that agree
+_LEVEL_PART = 0.5  # The same in parts of their height: a thing's top, a person's head and shoulders
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,21 +16,14 @@ ACROSS = 48
 """Cells across the disc: 1.6 cm on a pad of 78 cm."""
 PAINTS = 3
 """Paints that are compared: lettering, ring and arrowhead, and disc, in the order of `template`."""
-_PURE = 0.9
-"""Least coverage of a cell by one paint at which the drawing knows it, blurred as the frame is."""
-_LEAK = 0.03
-"""The most light of other paints in such a cell, as a share of its own."""
-_MARK = 0.35
-"""Least coverage of a cell by a marking that shows in it."""
-_OTHER = 0.05
-"""Most coverage of such a cell by another marking."""
-_GROUND = 0.9
-"""Least coverage of a cell of the ground by the ground's paint."""
-_HIDDEN_WHOLLY = 0.25
-"""Contrast of a whole marking, in parts of that of the drawing, below which it is hidden altogether."""
+_PURE = 0.9  # Least coverage of a cell by one paint at which the drawing knows it, blurred as the frame is
+_LEAK = 0.03  # The most light of other paints in such a cell, as a share of its own
+_MARK = 0.35  # Least coverage of a cell by a marking that shows in it
+_OTHER = 0.05  # Most coverage of such a cell by another marking
+_GROUND = 0.9  # Least coverage of a cell of the ground by the ground's paint
+_HIDDEN_WHOLLY = 0.25  # Contrast of a whole marking, in parts of that of the drawing, below which it is hidden altogether
 
-_DECK_LIGHT = np.full(3, 0.3)
-"""Light of the deck about the pad, 1 for white."""
+_DECK_LIGHT = np.full(3, 0.3)  # Light of the deck about the pad, 1 for white
 
 
 @lru_cache(maxsize=8)

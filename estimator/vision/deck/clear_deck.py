@@ -32,48 +32,29 @@ from estimator.vision.native import checked
 from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT
 
-_CELL_PX_LEAST = 1.2
-"""Width of a cell in the frame below which it is too far away."""
-_LEAST_CELLS = 10
-"""Least number of cells of a paint in view."""
+_CELL_PX_LEAST = 1.2  # Width of a cell in the frame below which it is too far away
+_LEAST_CELLS = 10  # Least number of cells of a paint in view
 PERIOD_S = 0.24
 """Time between two frames that are read, s."""
-_AVERAGE_S = 1.0
-"""Time constant of the average, s."""
+_AVERAGE_S = 1.0  # Time constant of the average, s
 LASTS_S = 10.0
 """Time for which a cell that has left the view counts, s."""
-_ENOUGH = 3.0
-"""Frames' weight in the average from which on a cell counts."""
-_BRIGHT = 245
-"""Value of a pixel from which on a channel is clipped, or its neighbour is."""
-_LEAST = 0.17
-"""Least difference of a cell that is none of the paint, of the paint's light."""
-_SPREADS = 6.0
-"""Such a difference in spreads of the paint's own cells."""
-_CELLS_LEAST = 14
-"""Least number of cells of something on the pad."""
-_SHARP = 0.7
-"""Part of its largest difference that is lost within two cells of its rim: glare and puddles end softly."""
-_ABOUT = 7
-"""Width of the square, in cells, in which a marking's ground is looked for."""
-_GROUND_CELLS = 4
-"""Least number of ground cells about a marking."""
-_DARKEST = 0.1
-"""Deepest shade, in parts of the ground's usual light."""
-_UNEVEN = 0.15
-"""Spread of the ground's light about a marking, in its contrast, from which on its ground is not known."""
-_HIDDEN = 0.25
-"""Contrast of a marking, in parts of that of the whole, below which something hides it."""
-_HIDDEN_CELLS = 5
-"""Least number of such cells."""
-_SEEN_OFTEN = 2.0
-"""Frames' weight from which on a cell's contrast counts."""
-_HIDES_M = 0.15
-"""Width of a place in which something may lie unseen, m."""
-_HIDES = 0.6
-"""Share of the ground of such a place that is clipped."""
-_NONE = 1e3
-"""Difference of a cell that is not known."""
+_ENOUGH = 3.0  # Frames' weight in the average from which on a cell counts
+_BRIGHT = 245  # Value of a pixel from which on a channel is clipped, or its neighbour is
+_LEAST = 0.17  # Least difference of a cell that is none of the paint, of the paint's light
+_SPREADS = 6.0  # Such a difference in spreads of the paint's own cells
+_CELLS_LEAST = 14  # Least number of cells of something on the pad
+_SHARP = 0.7  # Part of its largest difference that is lost within two cells of its rim: glare and puddles end softly
+_ABOUT = 7  # Width of the square, in cells, in which a marking's ground is looked for
+_GROUND_CELLS = 4  # Least number of ground cells about a marking
+_DARKEST = 0.1  # Deepest shade, in parts of the ground's usual light
+_UNEVEN = 0.15  # Spread of the ground's light about a marking, in its contrast, from which on its ground is not known
+_HIDDEN = 0.25  # Contrast of a marking, in parts of that of the whole, below which something hides it
+_HIDDEN_CELLS = 5  # Least number of such cells
+_SEEN_OFTEN = 2.0  # Frames' weight from which on a cell's contrast counts
+_HIDES_M = 0.15  # Width of a place in which something may lie unseen, m
+_HIDES = 0.6  # Share of the ground of such a place that is clipped
+_NONE = 1e3  # Difference of a cell that is not known
 _LIGHT = LINEAR_LIGHT.astype(np.float32)
 
 

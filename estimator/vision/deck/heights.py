@@ -17,48 +17,27 @@ STANDS_REACH_M = 0.8
 """Distance beyond the disc within which what stands out counts: a rotor and a margin."""
 CLUSTER_M = 0.5
 """Distance within which corners are of one thing."""
-_SIGMA_PX = 0.3
-"""Standard deviation of a corner's place on the deck, in the frame's pixels."""
-_SIGMA_M = 0.004
-"""The same, fixed."""
-_SIGMA_AWAY = 0.003
-"""The same, in parts of the corner's distance from the pad."""
-_READS = 4
-"""Least number of readings of a corner."""
-_READS_STANDS = 3
-"""Least number of readings of one that stands high."""
-_STANDS_M = 0.15
-"""Least height of what stands out."""
-_STANDS_SIGMAS = 6.0
-"""The same, in standard deviations."""
-_FLAT_LEAST = 12
-"""Least number of corners that say what a standard deviation is worth."""
-_FLAT_LOWEST = 0.4
-"""Least of what it may be worth."""
-_FLAT_HIGHEST = 1.0
-"""Most of what it may be worth, and what it is with fewer corners."""
-_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-_BELOW = 0.8
-"""Largest height of what stands, in parts of the camera's."""
-_STAYS = 4.0
-"""Largest mean square that is left of a corner that stands, in variances."""
-_STAYS_PART = 0.3
-"""What may be left besides of a high one, in parts of what the height explains."""
-_STAYS_M = 0.06
-"""The most of that."""
-_MOVES_M = 0.12
-"""Least deviation from the best place and height that is a motion."""
-_MOVES_TIMES = 6.0
-"""The same, in standard deviations."""
-_OWN = 1.0
-"""Part that the drone's own shadow leaves of a corner's deviation where it is that."""
-_OWN_M = 0.4
-"""Largest distance of a part of that shadow from its middle."""
-_OWN_SIGMA_M = 0.3
-"""Standard deviation that is assumed of that."""
-_HEIGHT_LEAST_M = 0.05
-"""Least height of the camera that a reading is divided by."""
+_SIGMA_PX = 0.3  # Standard deviation of a corner's place on the deck, in the frame's pixels
+_SIGMA_M = 0.004  # The same, fixed
+_SIGMA_AWAY = 0.003  # The same, in parts of the corner's distance from the pad
+_READS = 4  # Least number of readings of a corner
+_READS_STANDS = 3  # Least number of readings of one that stands high
+_STANDS_M = 0.15  # Least height of what stands out
+_STANDS_SIGMAS = 6.0  # The same, in standard deviations
+_FLAT_LEAST = 12  # Least number of corners that say what a standard deviation is worth
+_FLAT_LOWEST = 0.4  # Least of what it may be worth
+_FLAT_HIGHEST = 1.0  # Most of what it may be worth, and what it is with fewer corners
+_MAD = 1.4826  # Standard deviation of a normal distribution over its median absolute deviation
+_BELOW = 0.8  # Largest height of what stands, in parts of the camera's
+_STAYS = 4.0  # Largest mean square that is left of a corner that stands, in variances
+_STAYS_PART = 0.3  # What may be left besides of a high one, in parts of what the height explains
+_STAYS_M = 0.06  # The most of that
+_MOVES_M = 0.12  # Least deviation from the best place and height that is a motion
+_MOVES_TIMES = 6.0  # The same, in standard deviations
+_OWN = 1.0  # Part that the drone's own shadow leaves of a corner's deviation where it is that
+_OWN_M = 0.4  # Largest distance of a part of that shadow from its middle
+_OWN_SIGMA_M = 0.3  # Standard deviation that is assumed of that
+_HEIGHT_LEAST_M = 0.05  # Least height of the camera that a reading is divided by
 
 SUMS = np.dtype(
     [

@@ -29,40 +29,24 @@ LOW_M = 1.0
 """Height from which down a thing is in view for a shorter time, and one reading of it is enough."""
 LOW_PERIOD_S = 0.09
 """Time between two frames that are read from there down."""
-_SINCE_S = 0.15
-"""Least time between two frames that are compared."""
-_GAP_S = 0.7
-"""Most time between two frames; after more the mean begins again."""
-_CELL_M = 0.04
-"""Size of a cell."""
-_MESH = 4
-"""Size of the mesh on which cells are drawn, in cells."""
-_REACH_M = 0.5
-"""What is read beyond the disc."""
-_STEP = 4
-"""Most by which the mean changes a frame, values of a pixel."""
-_ONE = 64
-"""Share of the mean's light that is all of it."""
-_FLOOR = 8
-"""Value added to light and mean where the share is taken: dark values are noise."""
-_LEAST = 0.25
-"""Least change that counts, of the mean's light."""
-_LEAST_VALUE = 10.0
-"""The same, in values of a pixel."""
-_NOISES = 4.0
-"""The same, in mean changes of the cell."""
-_SLOW = 0.1
-"""Weight of a frame in a cell's mean change."""
-_CELLS_LEAST = 8
-"""Least number of cells of a thing."""
-_SURE = 3
-"""Number of readings that show what passes from which on it counts for its whole time."""
+_SINCE_S = 0.15  # Least time between two frames that are compared
+_GAP_S = 0.7  # Most time between two frames; after more the mean begins again
+_CELL_M = 0.04  # Size of a cell
+_MESH = 4  # Size of the mesh on which cells are drawn, in cells
+_REACH_M = 0.5  # What is read beyond the disc
+_STEP = 4  # Most by which the mean changes a frame, values of a pixel
+_ONE = 64  # Share of the mean's light that is all of it
+_FLOOR = 8  # Value added to light and mean where the share is taken: dark values are noise
+_LEAST = 0.25  # Least change that counts, of the mean's light
+_LEAST_VALUE = 10.0  # The same, in values of a pixel
+_NOISES = 4.0  # The same, in mean changes of the cell
+_SLOW = 0.1  # Weight of a frame in a cell's mean change
+_CELLS_LEAST = 8  # Least number of cells of a thing
+_SURE = 3  # Number of readings that show what passes from which on it counts for its whole time
 _FADES = 10
 """Readings of a place without a thing after which one that was shown less often is nothing: a flash, or a drop that fell."""
-_BOX = np.ones((3, 3), np.uint8)
-"""A cell and its neighbours."""
-_DRONE_M = 0.3
-"""Half the width of the drone's shadow, which does not shrink with its cone."""
+_BOX = np.ones((3, 3), np.uint8)  # A cell and its neighbours
+_DRONE_M = 0.3  # Half the width of the drone's shadow, which does not shrink with its cone
 
 
 @dataclass(frozen=True, slots=True, eq=False)

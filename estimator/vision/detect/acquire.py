@@ -38,30 +38,23 @@ from estimator.vision.native import count_work
 
 SURE, ENOUGH = 0.9, 0.5
 """Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
-_CLOSE_PX = 2.0
-"""Largest error of the farthest edge in view at which registration may start from fiducials directly."""
-_MOST_ALIGNED = 24
-"""Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up."""
-_ALIGNED = 3
-"""Number of the best hypotheses of one kind that the drawing is aligned at."""
+_CLOSE_PX = 2.0  # Largest error of the farthest edge in view at which registration may start from fiducials directly
+_MOST_ALIGNED = 24  # Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up
+_ALIGNED = 3  # Number of the best hypotheses of one kind that the drawing is aligned at
 _TRIES = 2
 """Guesses tried for each candidate that may be kept. Most false candidates are refused at the first step and cost little."""
 _STEPS, _STEPS_FREE = 4, 8
 """Gauss-Newton steps of alignment, with the tilt known and unknown."""
-_ARROW_SEEN = 0.3
-"""Support of the arrowhead at which the heading is unambiguous."""
+_ARROW_SEEN = 0.3  # Support of the arrowhead at which the heading is unambiguous
 _ARROW_MISSING = 0.5
 """Margin by which it must be surer that no arrowhead is at its place than that there is none half a turn away."""
 _WORK_ALIGN, _WORK_TURNED = 0.8, 1.2
 """Work that an alignment usually takes, and that of other headings beside what covers a part."""
-_SMALL_PX = 30.0
-"""Radius of the disc, px, up to which what covers a part of it may turn a guess."""
+_SMALL_PX = 30.0  # Radius of the disc, px, up to which what covers a part of it may turn a guess
 _SAME_PX, _SAME_RADII, _SAME_FAR = 4.0, 0.5, 0.15
 """Largest differences of one place between two frames: px, radii of the disc, and the logarithm of the distance."""
-_REMEMBERED = 24
-"""Most places of refused hypotheses that are remembered."""
-_BETTER = 0.05
-"""Further share of the variance that another guess in the place of a refused one must explain not to come last."""
+_REMEMBERED = 24  # Most places of refused hypotheses that are remembered
+_BETTER = 0.05  # Further share of the variance that another guess in the place of a refused one must explain not to come last
 Place = tuple[float, float, float, float]
 """The pad's centre, px from the lens' axis, the logarithm of its distance, and the fraction of the variance that is explained."""
 
@@ -192,16 +185,13 @@ class _Search(Struct, eq=False):
 
     def try_kind(self, kind: Kind) -> bool | None:
         """Align the drawing at the best guesses of a kind. Return whether that is enough, or None if the budget ends before."""
-        guesses = self.guesses.get(kind.guesses)
-        if guesses is None:
+        if kind.guesses not in self.guesses:
             if self.guesses and self.left < kind.work:
                 return None
-            guesses = self.guesses[kind.guesses] = kind.guesses()
+            self.guesses[kind.guesses] = kind.guesses()
         aligned = kept = 0
-        drawn = [guess for guess in guesses if kind.is_drawn(guess) and id(guess) not in self.tried]
-        for guess in sorted(drawn, key=lambda g: (self._is_refused(g), -g.score)):
-            # Guesses are not tried beside any candidate, and exact ones not beside confident ones.
-            if any(_near(guess.t_cam_pad, c.pose) for c in self.found if c.score >= ENOUGH or not kind.exact):
+        for guess in self._untried(kind):
+            if self._is_beside_found(guess, kind):
                 continue
             if aligned == _TRIES * _ALIGNED or kept == _ALIGNED:
                 break
@@ -217,9 +207,20 @@ class _Search(Struct, eq=False):
                     return True
             if candidate is None or candidate.score < ENOUGH:
                 self.refused.append(_place(guess, self.view.camera))
-        # What covers a part, and the heading beside it, were chosen to fit: that alone is not enough.
-        enough = self.sure <= 1.0 and any(c.score >= min(self.sure, ENOUGH if c.cut is None else SURE) for c in self.found)
-        return enough or len(self.found) >= _MOST_ALIGNED
+        return self._has_enough() or len(self.found) >= _MOST_ALIGNED
+
+    def _untried(self, kind: Kind) -> list[Guess]:
+        """Return the guesses of a kind that explain enough and were not tried, those in refused places last."""
+        drawn = [guess for guess in self.guesses[kind.guesses] if kind.is_drawn(guess) and id(guess) not in self.tried]
+        return sorted(drawn, key=lambda g: (self._is_refused(g), -g.score))
+
+    def _is_beside_found(self, guess: Guess, kind: Kind) -> bool:
+        """Return whether a guess need not be tried: none is beside any candidate, and an exact one not beside a confident one."""
+        return any(_near(guess.t_cam_pad, c.pose) for c in self.found if c.score >= ENOUGH or not kind.exact)
+
+    def _has_enough(self) -> bool:
+        """Return whether a candidate is confident. What covers a part was chosen to fit: that alone is not enough."""
+        return self.sure <= 1.0 and any(c.score >= min(self.sure, ENOUGH if c.cut is None else SURE) for c in self.found)
 
     def align_at(self, pose: PadPose, tilt_known: bool, side: F64 | None = None, covered: bool = False) -> PadCandidate | None:
         """Align the drawing from one rough pose and verify it; return None if it does not fit at all.

@@ -20,10 +20,8 @@ _FLOOR = 0.01
 """Light, as a fraction of full scale, below which there is only noise (12 of 8000 electrons read noise, twice averaged, is a
 sixth of it).
 """
-_MIDDLE = 80
-"""Value where the channels are equal."""
-_NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))
-"""Steps for a factor e."""
+_MIDDLE = 80  # Value where the channels are equal
+_NAT = 255.0 / float(np.log1p(1.0 / _FLOOR))  # Steps for a factor e
 _COLOURED, _HAZY = 0.25 * _NAT, 0.06 * _NAT
 """Measure from which a disc's paint is no shade of grey, and range of the measure in a frame below which the frame has no
 colour: 99 of 100 discs stand out by 0.56 in any light, and by a seventh of that in haze.

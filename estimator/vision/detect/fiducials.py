@@ -23,16 +23,12 @@ and reads the smallest cells, larger ones stand more blur and noise.
 """
 WORK_FIDUCIALS = 3.0
 """Work of reading the fiducials of one dictionary with one window; see `hypotheses.Kind`."""
-_POSES = 3
-"""Largest number of poses of one frame: two pads in view, or a pose and its mirror image."""
-_CORNER_PX = 0.7
-"""Standard deviation of a corner's place as the detector finds it."""
-_TILT_RAD = math.radians(4.0)
-"""Standard deviation of the tilt between the deck and a vehicle of known attitude."""
+_POSES = 3  # Largest number of poses of one frame: two pads in view, or a pose and its mirror image
+_CORNER_PX = 0.7  # Standard deviation of a corner's place as the detector finds it
+_TILT_RAD = math.radians(4.0)  # Standard deviation of the tilt between the deck and a vehicle of known attitude
 _SAME_SIDES = 0.25
 """Largest distance of a fiducial's corners from their place by another fiducial's pose, in its sides in the frame."""
-_MIRRORED = 6.0
-"""Difference of two squared errors, in variances, below which a pose and its mirror image are both tried."""
+_MIRRORED = 6.0  # Difference of two squared errors, in variances, below which a pose and its mirror image are both tried
 _UNIT = np.eye(3)
 
 

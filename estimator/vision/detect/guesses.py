@@ -38,15 +38,13 @@ _MOST_AREAS = 16
 
 MOST = 20
 """Largest number of guesses from the circles of one kind."""
-_SAME_SHADE = 12.0
-"""Difference in luminance between two paints below which either may be the brighter."""
+_SAME_SHADE = 12.0  # Difference in luminance between two paints below which either may be the brighter
 _BY_SUPPORT, _BY_FILLED = 0.3, 0.1
 """Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
 is one more often, whatever the area is.
 """
 
-_HEADING_PX = 28.0
-"""Smallest radius of the disc in the frame that a heading is searched in."""
+_HEADING_PX = 28.0  # Smallest radius of the disc in the frame that a heading is searched in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,15 +140,7 @@ class Radii(Struct, frozen=True):
 
 
 def edge_circles(
-    grey: U8,
-    step: int,
-    camera: Camera,
-    plane: Plane,
-    radii: Radii,
-    most: int,
-    margin_px: int = 0,
-    *,
-    only_bright: bool = False,
+    grey: U8, step: int, camera: Camera, plane: Plane, radii: Radii, most: int, margin_px: int = 0, *, only_bright: bool = False
 ) -> list[Circle]:
     """Return the circles with the most edges, most prominent first.
 
@@ -201,12 +191,7 @@ def blob_circles(pyramid: Pyramid, camera: Camera, plane: Plane) -> list[Circle]
 
 
 def guesses_from(
-    circles: Sequence[Circle],
-    of: Outline,
-    view: FrameView,
-    plane: Plane,
-    most: int = MOST,
-    rated: dict[int, U8] | None = None,
+    circles: Sequence[Circle], of: Outline, view: FrameView, plane: Plane, most: int = MOST, rated: dict[int, U8] | None = None
 ) -> list[Guess]:
     """Return guesses from circles: one for each circle of the drawing that one may be, in each plane that it may lie in.
 

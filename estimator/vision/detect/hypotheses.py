@@ -35,8 +35,7 @@ from estimator.vision.detect.pyramid import U8, FrameView, Pyramid
 from estimator.vision.detect.template import PaintMemory
 from estimator.vision.native import checked, count_work, image_of, tracker_of
 
-_MOST_LETTERS = 8
-"""Largest number of places of the H."""
+_MOST_LETTERS = 8  # Largest number of places of the H
 
 STROKES_WIDTH_PX = 160
 """Approximate width of the frame in which the H's strokes are searched."""
@@ -52,10 +51,8 @@ half an H has 0.3 to 0.55. Of 920 pads in all lights, half of them partly hidden
 guesses reach it rarely: one in seventy from the reduced images, one in twenty from circles that may be half covered, and one in
 thirty from areas.
 """
-_ROUND = 0.8
-"""Support at which an area's outline is an ellipse."""
-_CIRCLES = 12
-"""Number of circles of one image."""
+_ROUND = 0.8  # Support at which an area's outline is an ellipse
+_CIRCLES = 12  # Number of circles of one image
 _MORE_CIRCLES, _MORE_GUESSES = {0: 32, 1: 16}, 60
 """Number of circles of an image at full and at half size where half of the disc may be covered, and of guesses from one size.
 
@@ -63,8 +60,7 @@ Of ten half discs at 10 m the full size has nine among them, of ten at 15 m six.
 """
 _MARGIN_PX = 8
 """Margin beyond the edge of such an image in which centres are searched, px: half of the disc may be out of the frame."""
-_NEAREST_M = 0.05
-"""Least distance of a guess along the optical axis."""
+_NEAREST_M = 0.05  # Least distance of a guess along the optical axis
 _COARSE_LEVELS, _REDUCED_LEVELS = (3, 2), (3, 2, 1)
 _PLAIN_DRAWING = 0.3
 """Fraction of the variance that a guess from the smallest images must explain to be tried before the half-size image is searched:
@@ -72,8 +68,7 @@ of 112 pads up to 3 m in any light 103 had more, and of 120 frames without a pad
 """
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
-_BEYOND = 0.4
-"""Margin beyond the edge of the smallest image in which centres are searched, in its widths."""
+_BEYOND = 0.4  # Margin beyond the edge of the smallest image in which centres are searched, in its widths
 _WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.9, 4.4, 1.9, 4.7
 WORK_COARSE, _WORK_LARGER = 2.2, 2.1
 _WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.7, 3.2, 1.0

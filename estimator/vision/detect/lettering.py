@@ -26,21 +26,17 @@ from estimator.vision.pad.geometry import covers
 from estimator.vision.pad.pad import Pad
 from estimator.vision.pad.shapes import Region
 
-_LEVELS = (0, 2)
-"""Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide."""
+_LEVELS = (0, 2)  # Sizes of the frame that are looked at: for strokes up to some 25 px and 100 px wide
 _WINDOW_PX, _EDGE_WINDOW_PX = 41, 7
 """Sides of the neighbourhood that a pixel is compared with; the second where a circle's edge is looked for: a ring that is seen
 aslant is narrow, and its sheet and what is about that lie near."""
-_STANDS_OUT = 7.0
-"""Least difference from the neighbourhood's mean, 8-bit."""
+_STANDS_OUT = 7.0  # Least difference from the neighbourhood's mean, 8-bit
 _LEAST_AREA_PX, _FEWEST_POINTS = 60.0, 30
 _FILLED, _EXACT, _FULL = 0.3, 0.08, 0.03
 """Largest difference of the logarithm of a component's share of its hull from the drawing's; largest of that and of its spread
 of what may be a circle aslant, and its least area over the square of its contour's points: of an ellipse .045 and more."""
-_OUTLINE_WORK = 50
-"""Work of a pixel for a frame's circles aslant, millionths of a floor."""
-_TRIED = 8
-"""Largest number of components whose heading is searched."""
+_OUTLINE_WORK = 50  # Work of a pixel for a frame's circles aslant, millionths of a floor
+_TRIED = 8  # Largest number of components whose heading is searched
 _HEADINGS, _ASIDE = 16, 0.05
 """Headings that are tried for a component beside the pad's centre, and how far beside it is, in radii of the pad."""
 _RASTER, _SILHOUETTES = 401, 3
@@ -109,14 +105,16 @@ def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     count_work(grey.size * _OUTLINE_WORK * circle)
     for sign in (1, -1):
         contours, tree = cv2.findContours(np.asarray(sign * off > _STANDS_OUT, np.uint8), which, cv2.CHAIN_APPROX_NONE)
-        for contour, parent in zip(contours, [] if tree is None else np.reshape(tree, (-1, 4))[:, 3].tolist(), strict=True):
+        if tree is None:
+            continue
+        for contour, parent in zip(contours, np.reshape(tree, (-1, 4))[:, 3].tolist(), strict=True):
             if len(contour) < _FEWEST_POINTS or cv2.contourArea(contour) < least_full * len(contour) ** 2:
                 continue
             # What is dark lies in a hole of what is bright about it.
             hole = circle and parent >= 0
             of = tuple(each for each in _silhouettes(pad) if either or each.bright == ((sign > 0) != hole))
             found = _alike(np.asarray(contour, np.int32), step, grey.shape, of, -0.5 if hole else 0.5)
-            yield from (component for component in found if component.off < most_off)
+            yield from filter(lambda component: component.off < most_off, found)
 
 
 def _alike(

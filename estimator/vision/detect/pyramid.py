@@ -14,10 +14,8 @@ from estimator.vision.native import checked, count_work, put_image, work_done
 from estimator.vision.pad.pad import Pad
 
 U8 = NDArray[np.uint8]
-_HALVING_WORK = 3
-"""Work of a byte of a reduced image, millionths of a floor."""
-_MONOCHROME = 3.0
-"""Largest difference between the channels of a pixel in a frame of a grey camera."""
+_HALVING_WORK = 3  # Work of a byte of a reduced image, millionths of a floor
+_MONOCHROME = 3.0  # Largest difference between the channels of a pixel in a frame of a grey camera
 
 
 class Pyramid:

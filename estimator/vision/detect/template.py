@@ -26,8 +26,7 @@ F32 = NDArray[np.float32]
 I16 = NDArray[np.int16]
 
 ANGLES, _RADII = DL_POLAR_ANGLES, DL_POLAR_RADII
-_FINE = 4
-"""Sub-samples per polar cell and axis: coverage to about 2 %."""
+_FINE = 4  # Sub-samples per polar cell and axis: coverage to about 2 %
 STEP_M = 0.004
 """Distance between samples of the maps: about a quarter of the ring's width."""
 BLURS_M = (0.005, 0.010, 0.020, 0.040, 0.080)
@@ -214,8 +213,7 @@ FADING = 0.08
 """Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
 TRUSTED = 0.10
 """Trust above which the memory is used: three confident frames."""
-_BROAD = 1.0
-"""Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way."""
+_BROAD = 1.0  # Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way
 
 
 class PaintMemory(Struct, frozen=True, eq=False):

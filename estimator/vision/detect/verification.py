@@ -162,8 +162,7 @@ TRACKED = np.where([name in _UNTRACKED for name in EVIDENCE], 0.0, SEARCHED)
 """Weights in the order of `EVIDENCE` where a track has confirmed the pad before."""
 
 
-_BY_SUPPORT = 6.0
-"""Log-odds of twice the support that clutter may give: more support by clutter is exponentially rarer."""
+_BY_SUPPORT = 6.0  # Log-odds of twice the support that clutter may give: more support by clutter is exponentially rarer
 
 
 def support_log_odds(times_least: float) -> float:

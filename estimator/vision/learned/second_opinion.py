@@ -36,18 +36,12 @@ CHANNELS = 12
 """Channels of the network's input: frame, drawing and their product in blue, green and red, what is in view, what is not
 known, and the size of a pixel.
 """
-_CLIP = 4.0
-"""Largest deviation from the mean, in standard deviations, that goes into the network."""
-_LEAST_SPREAD = 0.01
-"""Least standard deviation, of full scale 1, that the light is divided by: a step of a byte is no marking."""
-_LEAST_SEEN = 0.03
-"""Least share of the pad in view that can be compared."""
-_FINE_M = 0.006
-"""Distance between the samples that the drawing is blurred at."""
-_BARE = 0.2
-"""Linear light that a deck without paint is taken for."""
-_TONE = 2.2
-"""Exponent of the tone curve of frames, by which the drawing's light is converted."""
+_CLIP = 4.0  # Largest deviation from the mean, in standard deviations, that goes into the network
+_LEAST_SPREAD = 0.01  # Least standard deviation, of full scale 1, that the light is divided by: a step of a byte is no marking
+_LEAST_SEEN = 0.03  # Least share of the pad in view that can be compared
+_FINE_M = 0.006  # Distance between the samples that the drawing is blurred at
+_BARE = 0.2  # Linear light that a deck without paint is taken for
+_TONE = 2.2  # Exponent of the tone curve of frames, by which the drawing's light is converted
 
 
 class Patch(Struct, frozen=True, eq=False):

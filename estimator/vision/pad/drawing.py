@@ -18,8 +18,7 @@ from estimator.vision.pad.shapes import Lettering, PaintedPanel, PaintedTriangle
 from estimator.vision.srgb import LUMA, linear_light
 
 _SPACING_M = 0.004
-_FIDUCIAL_STEP = 1.0 / 6.0
-"""Distance between points on the edges of a fiducial, in its cells."""
+_FIDUCIAL_STEP = 1.0 / 6.0  # Distance between points on the edges of a fiducial, in its cells
 
 
 class EdgeKind(IntEnum):

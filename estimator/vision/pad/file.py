@@ -16,27 +16,19 @@ from msgspec.structs import asdict
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.camera.camera import shown
+from estimator.vision.pad import shapes
 from estimator.vision.pad.fiducial import PaintedFiducial
 from estimator.vision.pad.fiducial_rules import check_marker
 from estimator.vision.pad.geometry import TOUCH_M, depth_in, sheet_of, sides_meet
 from estimator.vision.pad.lamps import MOST, Lamp, check_lamps
 from estimator.vision.pad.rules import check_regions
-from estimator.vision.pad.shapes import (
-    PaintedArrowhead,
-    PaintedLetter,
-    PaintedPolygon,
-    PaintedRing,
-    PaintedStroke,
-    PaintedTriangle,
-    Region,
-)
 
 SMALLEST_M = 0.001
 """Least length of a side or a width, m."""
 LARGEST_M = 20.0
 """Largest length, m. It bounds memory: edges are sampled every few millimetres."""
 
-_SHAPES: dict[object, type[Struct]] = {kind.__struct_config__.tag: kind for kind in get_args(Region)}
+_SHAPES: dict[object, type[Struct]] = {kind.__struct_config__.tag: kind for kind in get_args(shapes.Region)}
 Channel = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -62,7 +54,7 @@ class PadFile(Struct, frozen=True, forbid_unknown_fields=True):
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     paints: dict[str, tuple[Channel, Channel, Channel]]
     """Red, green, blue of each paint by its name."""
-    regions: Annotated[tuple[Region, ...], Meta(min_length=1, max_length=40)]
+    regions: Annotated[tuple[shapes.Region, ...], Meta(min_length=1, max_length=40)]
     lamps: Annotated[tuple[Lamp, ...], Meta(max_length=MOST)] = ()
     """Lamps that shine upwards, for nights."""
     size_sigma_m: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
@@ -146,7 +138,7 @@ def _of_key(reason: str, table: Mapping[str, Any], known: tuple[str, ...]) -> st
     return f"{unknown} is not a known key; " + (f"did you mean {near[0]}?" if near else f"known here are {', '.join(known)}")
 
 
-def _check_lengths(region: Region, where: str) -> None:
+def _check_lengths(region: shapes.Region, where: str) -> None:
     for key, value in asdict(region).items():
         if not key.endswith("_m") or value is None:
             continue
@@ -171,15 +163,15 @@ def _cure(value: object) -> str:
     return f": is it in millimetres? Write metres, {largest / 1000.0:g} for {largest:g}"
 
 
-def _check_shape(region: Region, where: str) -> None:
+def _check_shape(region: shapes.Region, where: str) -> None:
     match region:
-        case PaintedRing() if not region.inner_m < region.outer_m:
+        case shapes.PaintedRing() if not region.inner_m < region.outer_m:
             raise BadInput(f"{where}: inner_m must be less than outer_m, got {region.inner_m:g} and {region.outer_m:g}")
-        case PaintedArrowhead() if region.depth_m >= region.tip_m:
+        case shapes.PaintedArrowhead() if region.depth_m >= region.tip_m:
             raise BadInput(
                 f"{where}.depth_m must be less than tip_m, got {region.depth_m:g}: an arrowhead lies ahead of the centre"
             )
-        case PaintedLetter():
+        case shapes.PaintedLetter():
             across, along = (2.0 if region.letter == "H" else 1.0), (2.0 if region.letter == "L" else 1.0)
             bar = region.bar_m or region.stroke_m
             if across * region.stroke_m >= region.width_m or along * bar >= region.length_m:
@@ -189,19 +181,19 @@ def _check_shape(region: Region, where: str) -> None:
                 )
         case PaintedFiducial():
             check_marker(region, where)
-        case PaintedTriangle() if region.stroke_m >= 0.9 * region.inscribed_m():
+        case shapes.PaintedTriangle() if region.stroke_m >= 0.9 * region.inscribed_m():
             raise BadInput(
                 f"{where}.stroke_m {region.stroke_m:g} leaves no room in a triangle of side_m {region.side_m:g}: its sides are "
                 f"{region.inscribed_m():.3g} m from the centre"
             )
-        case PaintedStroke():
+        case shapes.PaintedStroke():
             if not math.dist(region.from_m, region.to_m) >= SMALLEST_M:
                 raise BadInput(f"{where}: from_m and to_m must differ, got {region.from_m} and {region.to_m}")
-        case PaintedPolygon():
+        case shapes.PaintedPolygon():
             check_polygon(region, where)
 
 
-def check_polygon(region: PaintedPolygon, where: str) -> None:
+def check_polygon(region: shapes.PaintedPolygon, where: str) -> None:
     """Check a polygon's lines.
 
     Raises:
@@ -218,7 +210,7 @@ def check_polygon(region: PaintedPolygon, where: str) -> None:
         if (
             not (3 <= len(points) <= 60 and is_simple(points))
             or depth_in(rest, points).min() <= TOUCH_M
-            or np.any(depth_in(PaintedPolygon("", hole), rest.corners()) > 0.0)
+            or np.any(depth_in(shapes.PaintedPolygon("", hole), rest.corners()) > 0.0)
         ):
             raise BadInput(
                 f"{where}.holes_m[{i}] must be 3 to 60 corners of a line that does not touch itself and lies within the polygon, "

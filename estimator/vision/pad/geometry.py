@@ -10,19 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.contracts.geometry import F64
+from estimator.vision.pad import shapes
 from estimator.vision.pad.fiducial import PaintedFiducial, signed_area
-from estimator.vision.pad.shapes import (
-    Lettering,
-    PaintedArrowhead,
-    PaintedDisc,
-    PaintedPanel,
-    PaintedPolygon,
-    PaintedRing,
-    PaintedStroke,
-    PaintedTriangle,
-    Region,
-    borders_of,
-)
 
 Rectangle = tuple[float, float, float, float]
 """Limits x0, x1, y0, y1, m."""
@@ -30,48 +19,48 @@ TOUCH_M = 1e-6
 """Borders nearer than this touch, and ends of a side that differ by less along an axis lie in a line along the other, m."""
 
 
-def outlines_of(region: Region, n: int = 72) -> tuple[F64, ...]:
+def outlines_of(region: shapes.Region, n: int = 72) -> tuple[F64, ...]:
     """Return closed lines, their corners (N, 2) m each, whose insides together are the region.
 
     A ring's and a triangle's line goes once around and back within; so do those of a fiducial around its light cells and of a
     polygon around its holes.
     """
     match region:
-        case PaintedTriangle():
-            return (np.vstack([np.vstack([line, line[:1]]) for line in borders_of(region)]),)
-        case PaintedRing():
-            outer, inner = (np.vstack([line, line[:1]]) for line in borders_of(region, n))
+        case shapes.PaintedTriangle():
+            return (np.vstack([np.vstack([line, line[:1]]) for line in shapes.borders_of(region)]),)
+        case shapes.PaintedRing():
+            outer, inner = (np.vstack([line, line[:1]]) for line in shapes.borders_of(region, n))
             return (np.vstack([outer, inner[::-1]]),)
         case PaintedFiducial():
             return region.outlines()
-        case PaintedPolygon() if region.holes_m:
+        case shapes.PaintedPolygon() if region.holes_m:
             return (_around_holes(region),)
         case _:
-            return borders_of(region, n)
+            return shapes.borders_of(region, n)
 
 
-def depth_in(region: Region, xy_m: F64) -> F64:
+def depth_in(region: shapes.Region, xy_m: F64) -> F64:
     """Return the signed distances (N,) of points (N, 2) to a region's border, m: positive inside."""
     match region:
-        case PaintedDisc():
+        case shapes.PaintedDisc():
             return np.asarray(region.radius_m - np.hypot(*xy_m.T))
-        case PaintedRing():
+        case shapes.PaintedRing():
             r = np.hypot(*xy_m.T)
             return np.asarray(np.minimum(region.outer_m - r, r - region.inner_m))
         case _:
             return _depth_within(*sides_of(region), xy_m)
 
 
-def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
+def covers(region: shapes.Region, xy_m: F64) -> NDArray[np.bool_]:
     """Return whether points (N, 2) m lie in a region."""
     match region:
         case PaintedFiducial():
             return region.covers(xy_m)
-        case PaintedPanel():
+        case shapes.PaintedPanel():
             return np.asarray((np.abs(xy_m[:, 0]) < 0.5 * region.length_m) & (np.abs(xy_m[:, 1]) < 0.5 * region.width_m))
-        case PaintedTriangle() | PaintedStroke() | PaintedPolygon() if is_slanted(region):
+        case shapes.PaintedTriangle() | shapes.PaintedStroke() | shapes.PaintedPolygon() if is_slanted(region):
             return np.asarray(np.any([_inside(piece, xy_m) for piece in convex_pieces_of(region)], axis=0))
-        case PaintedDisc() | PaintedRing():
+        case shapes.PaintedDisc() | shapes.PaintedRing():
             return depth_in(region, xy_m) > 0.0
         case _:
             start, end = sides_of(region)
@@ -80,72 +69,74 @@ def covers(region: Region, xy_m: F64) -> NDArray[np.bool_]:
             return out
 
 
-def sheet_of(regions: Sequence[Region]) -> Region | None:
+def sheet_of(regions: Sequence[shapes.Region]) -> shapes.Region | None:
     """Return the lowest region if it is the ground of all others: a panel or polygon around a ring or a disc and all else."""
     sheet, *others = regions
-    round_ones = any(isinstance(region, PaintedDisc | PaintedRing) for region in others)
-    if not round_ones or not (isinstance(sheet, PaintedPanel) or (isinstance(sheet, PaintedPolygon) and not sheet.holes_m)):
+    round_ones = any(isinstance(region, shapes.PaintedDisc | shapes.PaintedRing) for region in others)
+    if not round_ones or not (
+        isinstance(sheet, shapes.PaintedPanel) or (isinstance(sheet, shapes.PaintedPolygon) and not sheet.holes_m)
+    ):
         return None
-    lines = [line for region in others for line in borders_of(region)]
+    lines = [line for region in others for line in shapes.borders_of(region)]
     return sheet if depth_in(sheet, np.concatenate(lines)).min() > 0.0 else None
 
 
-def sides_of(region: Region) -> tuple[F64, F64]:
+def sides_of(region: shapes.Region) -> tuple[F64, F64]:
     """Return the starts and the ends, (N, 2) m each, of the straight sides around a region."""
-    lines = borders_of(region)
+    lines = shapes.borders_of(region)
     return np.concatenate(lines), np.concatenate([np.roll(line, -1, axis=0) for line in lines])
 
 
-def reach_of(region: Region) -> tuple[float, float]:
+def reach_of(region: shapes.Region) -> tuple[float, float]:
     """Return the least and the largest distance of a region's border from the centre, m."""
     match region:
-        case PaintedDisc():
+        case shapes.PaintedDisc():
             return region.radius_m, region.radius_m
-        case PaintedRing():
+        case shapes.PaintedRing():
             return region.inner_m, region.outer_m
         case _:
             far = float(np.hypot(*region.corners().T).max())
             return abs(float(depth_in(region, np.zeros((1, 2)))[0])), far
 
 
-def is_slanted(region: Region) -> bool:
+def is_slanted(region: shapes.Region) -> bool:
     """Return whether a region has straight sides that lie neither along x nor along y."""
     match region:
-        case PaintedTriangle() | PaintedArrowhead():
+        case shapes.PaintedTriangle() | shapes.PaintedArrowhead():
             return True
-        case PaintedStroke() | PaintedPolygon():
+        case shapes.PaintedStroke() | shapes.PaintedPolygon():
             start, end = sides_of(region)
             return bool(np.any(np.all(np.abs(end - start) > TOUCH_M, axis=1)))
         case _:
             return False
 
 
-def slanted_sides_of(regions: Sequence[Region]) -> tuple[F64, F64]:
+def slanted_sides_of(regions: Sequence[shapes.Region]) -> tuple[F64, F64]:
     """Return the starts and the ends, (N, 2) m each, of all sides of those regions that have slanted ones."""
     sides = [sides_of(region) for region in regions if is_slanted(region)]
     return tuple(np.concatenate([np.empty((0, 2)), *(each[k] for each in sides)]) for k in (0, 1))  # type: ignore[return-value]
 
 
-def convex_pieces_of(region: Region) -> list[F64]:
+def convex_pieces_of(region: shapes.Region) -> list[F64]:
     """Return convex polygons of three or four corners, clockwise seen from above, that make up a region with straight sides.
 
     They do not overlap.
     Source of the cuts of a polygon: Meisters, Polygons have ears, American Mathematical Monthly 82(6), 1975.
     """
     match region:
-        case PaintedTriangle():
+        case shapes.PaintedTriangle():
             outer, inner = region.borders()
             inner = inner[::-1]
             return [np.array([outer[i], outer[j], inner[j], inner[i]]) for i, j in ((0, 1), (1, 2), (2, 0))]
-        case PaintedStroke():
+        case shapes.PaintedStroke():
             return [region.corners()]
-        case PaintedPolygon():
+        case shapes.PaintedPolygon():
             return _ears(_around_holes(region))
         case _:
             raise TypeError(f"no region of straight sides: {region}")
 
 
-def _around_holes(region: PaintedPolygon) -> F64:
+def _around_holes(region: shapes.PaintedPolygon) -> F64:
     """Return one line around a polygon, which goes to each hole and back the same way."""
     line = region.corners()
     for hole in sorted(region.holes(), key=lambda hole: -float(hole[:, 0].max())):
@@ -185,7 +176,7 @@ def _ears(line: F64) -> list[F64]:
     return [*out, left]
 
 
-def apart_m(one: Region, other: Region) -> float:
+def apart_m(one: shapes.Region, other: shapes.Region) -> float:
     """Return the least distance of the borders of two regions with straight sides; 0 if they cross."""
     (a, b), (c, d) = sides_of(one), sides_of(other)
     if np.any(_cross(a, b, c, d)):
@@ -218,7 +209,7 @@ def _cross(a: F64, b: F64, c: F64, d: F64) -> NDArray[np.bool_]:
     return np.asarray((side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0).T)
 
 
-def rectangles_of(letters: Sequence[Lettering]) -> list[Rectangle]:
+def rectangles_of(letters: Sequence[shapes.Lettering]) -> list[Rectangle]:
     """Return rectangles that do not overlap and cover all letters without slanted sides, the largest first."""
     sides = [sides_of(letter) for letter in letters if not is_slanted(letter)]
     if not sides:

@@ -18,8 +18,7 @@ NOISE, BLUR_PX = 0.01, 0.8
 """Assumed noise of a pixel's linear light, full scale 1, and standard deviation of the point spread."""
 _FINE, _FINE_TO_PX = 3, 100.0
 """Points along a pixel's side, and the radius in the frame beyond which one is enough."""
-_ALIKE = 0.02
-"""Share of the painted ground that may differ between two headings that a camera cannot distinguish."""
+_ALIKE = 0.02  # Share of the painted ground that may differ between two headings that a camera cannot distinguish
 _NEARLY_ALIKE = 0.2
 """Share of the painted ground that may differ between two headings that a search may confuse; a look at both decides."""
 _TURNS = tuple(math.radians(degrees) for degrees in (60.0, 72.0, 90.0, 120.0, 144.0, 180.0))
@@ -136,8 +135,7 @@ def _difference_of(pad: Pad, n: int) -> Callable[[float], float]:
     return differs
 
 
-_APART = np.array([1.0, math.pi, math.e])
-"""Weights of red, green and blue that give two colours of six decimals two numbers."""
+_APART = np.array([1.0, math.pi, math.e])  # Weights of red, green and blue that give two colours of six decimals two numbers
 
 
 def _commonest(colours: F64) -> F64:

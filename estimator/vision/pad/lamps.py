@@ -24,13 +24,11 @@ MOST = 40
 """Largest number of lamps."""
 _WIDTH_LEAST = 0.2
 """Least extent of the lamps across their longest line, as a part of that: of a row of lamps the far side is not distinguished."""
-_ALIKE = 0.25
-"""Part of the distance between two lamps by which a turned pattern must miss a lamp, or the pattern looks the same."""
+_ALIKE = 0.25  # Part of the distance between two lamps by which a turned pattern must miss a lamp, or the pattern looks the same
 
 CENTRE_PX = 0.1
 """Assumed standard deviation of the centre of a lamp's spot."""
-_RESOLVED_PX = 3.0
-"""Least distance of two lamps that are two spots."""
+_RESOLVED_PX = 3.0  # Least distance of two lamps that are two spots
 
 
 class Lamp(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,28 +1,18 @@
 """The parts of a pad that detection knows by name, and their sizes: disc or panel, rim, ring, arrowhead, lettering."""
 
 from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 from msgspec import Struct
 
 from estimator.contracts.geometry import F64
+from estimator.vision.pad import shapes
 from estimator.vision.pad.fiducial import PaintedFiducial
 from estimator.vision.pad.geometry import depth_in, reach_of
-from estimator.vision.pad.shapes import (
-    Lettering,
-    PaintedArrowhead,
-    PaintedDisc,
-    PaintedLetter,
-    PaintedPanel,
-    PaintedPolygon,
-    PaintedRing,
-    PaintedStroke,
-    PaintedTriangle,
-    Region,
-    borders_of,
-)
 
 Rgb = tuple[int, int, int]
+_Kind = TypeVar("_Kind")
 BARE: Rgb = (128, 128, 128)
 """Assumed colour of an unpainted deck, for comparison with a paint."""
 
@@ -62,20 +52,20 @@ class Markings(Struct, frozen=True):
     bar_width_m: float
     """Width of the strokes across the arrow."""
     colours: Colours
-    letters: tuple[Lettering, ...]
+    letters: tuple[shapes.Lettering, ...]
     """The lettering, fiducials among it."""
-    upper: tuple[Lettering, ...]
+    upper: tuple[shapes.Lettering, ...]
     """Lettering of a second paint, on the other or beside it."""
     upper_on_letters: bool
     """True if it lies on the other."""
-    triangle: PaintedTriangle | None
+    triangle: shapes.PaintedTriangle | None
     """The pointer around lettering, of its paint."""
     lettering_m: tuple[float, float]
     """Extent of all lettering and of a triangle along and across the arrow: twice their farthest points."""
     lettering_reach_m: float
     """Distance of their farthest corner from the centre."""
-    arrow: PaintedArrowhead | None
-    panel: PaintedPanel | None
+    arrow: shapes.PaintedArrowhead | None
+    panel: shapes.PaintedPanel | None
 
     @property
     def has_ground(self) -> bool:
@@ -101,7 +91,7 @@ class Markings(Struct, frozen=True):
         """True if there is nothing but one H or X on the bare deck."""
         others = self.arrow is not None or self.triangle is not None or bool(self.upper)
         bare = not (self.has_ground or self.ring_outer_m or others or len(self.letters) != 1)
-        return bare and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter in ("H", "X")
+        return bare and isinstance(self.letters[0], shapes.PaintedLetter) and self.letters[0].letter in ("H", "X")
 
     @property
     def is_whole(self) -> bool:
@@ -116,7 +106,7 @@ class Markings(Struct, frozen=True):
     @property
     def is_h(self) -> bool:
         """True if the lettering is an H."""
-        return len(self.letters) == 1 and isinstance(self.letters[0], PaintedLetter) and self.letters[0].letter == "H"
+        return len(self.letters) == 1 and isinstance(self.letters[0], shapes.PaintedLetter) and self.letters[0].letter == "H"
 
     @property
     def bar_length_m(self) -> float:
@@ -133,44 +123,42 @@ class Markings(Struct, frozen=True):
         return np.pad(np.empty((0, 2)) if self.arrow is None else self.arrow.corners(), ((0, 0), (0, 1)))
 
 
-def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb], ground: str = "") -> Markings:
+def markings_of(regions: Sequence[shapes.Region], paints: Mapping[str, Rgb], ground: str = "") -> Markings:
     """Return the sizes of the parts that these regions are, on a sheet or deck of a paint if that is known."""
-    disc = next((r for r in regions if isinstance(r, PaintedDisc)), None)
-    panel = next((r for r in regions if isinstance(r, PaintedPanel)), None)
-    rings = {r.part: r for r in regions if isinstance(r, PaintedRing)}
+    disc, panel = _first(regions, shapes.PaintedDisc), _first(regions, shapes.PaintedPanel)
+    arrow, triangle = _first(regions, shapes.PaintedArrowhead), _first(regions, shapes.PaintedTriangle)
+    rings = {r.part: r for r in regions if isinstance(r, shapes.PaintedRing)}
     ring, rim = rings.get("ring"), rings.get("rim")
-    arrow = next((r for r in regions if isinstance(r, PaintedArrowhead)), None)
-    triangle = next((r for r in regions if isinstance(r, PaintedTriangle)), None)
     letters, upper = layers_of(regions)
-    outer = max(reach_of(r)[1] for r in regions)
     corners = np.concatenate([letter.corners() for letter in letters]) if letters else np.zeros((1, 2))
-    everything = [corners, *(r.corners() for r in upper), *([] if triangle is None else [triangle.corners()])]
-    reach = np.concatenate(everything) if letters or triangle is not None else np.zeros((1, 2))
-    leg, bar = _strokes(letters)
-
-    def rgb(region: Region | None) -> Rgb:
-        return BARE if region is None else paints[region.paint]
-
+    others = [*upper, *([] if triangle is None else [triangle])]
+    reach = np.concatenate([corners, *(r.corners() for r in others)]) if letters or triangle is not None else np.zeros((1, 2))
     length, width = (2.0 * np.abs(corners).max(axis=0)).tolist()
+    leg, bar = _strokes(letters)
+    bare = paints.get(ground, BARE)
+
+    def rgb(*some: shapes.Region | None) -> Rgb | None:
+        return next((paints[region.paint] for region in some if region is not None), None)
+
     return Markings(
-        outer_radius_m=outer,
-        field_radius_m=disc.radius_m if disc is not None else 0.0,
-        rim_width_m=rim.outer_m - rim.inner_m if rim is not None else 0.0,
-        ring_inner_m=ring.inner_m if ring is not None else 0.0,
-        ring_outer_m=ring.outer_m if ring is not None else 0.0,
-        arrow_tip_m=arrow.tip_m if arrow is not None else 0.0,
-        arrow_depth_m=arrow.depth_m if arrow is not None else 0.0,
-        arrow_half_base_m=arrow.half_base_m if arrow is not None else 0.0,
+        outer_radius_m=max(reach_of(r)[1] for r in regions),
+        field_radius_m=_size(disc, "radius_m"),
+        rim_width_m=_size(rim, "outer_m") - _size(rim, "inner_m"),
+        ring_inner_m=_size(ring, "inner_m"),
+        ring_outer_m=_size(ring, "outer_m"),
+        arrow_tip_m=_size(arrow, "tip_m"),
+        arrow_depth_m=_size(arrow, "depth_m"),
+        arrow_half_base_m=_size(arrow, "half_base_m"),
         h_length_m=length,
         h_width_m=width,
         leg_width_m=leg,
         bar_width_m=bar,
         colours=Colours(
-            paints[ground] if disc is None and panel is None and ground else rgb(disc or panel),
-            rgb(ring or arrow),
-            rgb(letters[0] if letters else triangle),
-            None if rim is None else rgb(rim),
-            rgb(upper[0]) if upper else None,
+            disc=rgb(disc, panel) or bare,
+            ring=rgb(ring, arrow) or BARE,
+            h=rgb(*letters[:1], triangle) or BARE,
+            rim=rgb(rim),
+            upper=rgb(*upper[:1]),
         ),
         letters=letters,
         upper=upper,
@@ -183,17 +171,25 @@ def markings_of(regions: Sequence[Region], paints: Mapping[str, Rgb], ground: st
     )
 
 
-def layers_of(regions: Sequence[Region]) -> tuple[tuple[Lettering, ...], tuple[Lettering, ...]]:
+def _first(regions: Sequence[shapes.Region], kind: type[_Kind]) -> _Kind | None:
+    return next((region for region in regions if isinstance(region, kind)), None)
+
+
+def _size(region: shapes.Region | None, name: str) -> float:
+    return 0.0 if region is None else float(getattr(region, name))
+
+
+def layers_of(regions: Sequence[shapes.Region]) -> tuple[tuple[shapes.Lettering, ...], tuple[shapes.Lettering, ...]]:
     """Return the lettering of the first paint that lettering or a triangle has, and all lettering of other paints."""
-    letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial)]
-    first = next((r.paint for r in regions if isinstance(r, PaintedTriangle) or r in letters), "")
+    letters = [r for r in regions if isinstance(r, shapes.Lettering)]
+    first = next((r.paint for r in regions if isinstance(r, shapes.PaintedTriangle) or r in letters), "")
     return tuple(r for r in letters if r.paint == first), tuple(r for r in letters if r.paint != first)
 
 
-def _strokes(letters: Sequence[Lettering]) -> tuple[float, float]:
+def _strokes(letters: Sequence[shapes.Lettering]) -> tuple[float, float]:
     """Return the least widths of strokes along and across the arrow; a polygon's are its sides'."""
-    if len(letters) == 1 and isinstance(letters[0], PaintedLetter):
+    if len(letters) == 1 and isinstance(letters[0], shapes.PaintedLetter):
         return letters[0].stroke_m, letters[0].bar_m or letters[0].stroke_m
-    outlines = [line for letter in letters for line in borders_of(letter)]
+    outlines = [line for letter in letters for line in shapes.borders_of(letter)]
     least = min((float(np.abs(np.roll(line, -1, axis=0) - line).max(axis=1).min()) for line in outlines), default=0.0)
     return least, least

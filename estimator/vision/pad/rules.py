@@ -8,6 +8,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.core.abi import DL_FIGURE_CUTS, DL_FIGURE_RECTANGLES, DL_FIGURE_SIDES
 from estimator.vision.camera.camera import shown
+from estimator.vision.pad import shapes
 from estimator.vision.pad.fiducial import PaintedFiducial
 from estimator.vision.pad.fiducial_rules import check_fiducials
 from estimator.vision.pad.geometry import (
@@ -21,21 +22,7 @@ from estimator.vision.pad.geometry import (
     slanted_sides_of,
 )
 from estimator.vision.pad.markings import Rgb, layers_of
-from estimator.vision.pad.shapes import (
-    Lettering,
-    PaintedArrowhead,
-    PaintedDisc,
-    PaintedLetter,
-    PaintedPanel,
-    PaintedPolygon,
-    PaintedRing,
-    PaintedStroke,
-    PaintedTriangle,
-    Region,
-    borders_of,
-    circle,
-    part_of,
-)
+from estimator.vision.pad.shapes import part_of
 from estimator.vision.srgb import linear_light
 
 RECTANGLES_MOST, CUTS_MOST, SIDES_MOST = DL_FIGURE_RECTANGLES, DL_FIGURE_CUTS, DL_FIGURE_SIDES
@@ -44,7 +31,7 @@ _LEAST_CONTRAST = 0.03
 """Least distance of two paints in linear light, full scale 1 in each channel: less drowns in a worn deck's own variation."""
 
 
-def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: str, ground: str = "") -> None:
+def check_regions(regions: Sequence[shapes.Region], paints: Mapping[str, Rgb], where: str, ground: str = "") -> None:
     """Check the regions against one another and against their paints, and that of the ground if it is known.
 
     Raises:
@@ -55,7 +42,7 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
         if parts.count(part) > 1:
             first, second = [i for i, p in enumerate(parts) if p == part][:2]
             raise BadInput(f"{where}: regions[{second}] is a second {part} beside regions[{first}]; a pad has one: take one out")
-    letters = [r for r in regions if isinstance(r, PaintedLetter | PaintedStroke | PaintedPolygon | PaintedFiducial)]
+    letters = [r for r in regions if isinstance(r, shapes.Lettering)]
     if not letters and "ring" not in parts and "disc" not in parts:
         raise BadInput(f"{where}: regions has neither disc, ring nor lettering; a pad needs one of them")
     _check_parts(regions, letters, where)
@@ -70,7 +57,7 @@ def check_regions(regions: Sequence[Region], paints: Mapping[str, Rgb], where: s
             _check_contrast(region.paint, under, paints, f"{where}: regions[{i}]")
 
 
-def _check_letters(regions: Sequence[Region], where: str) -> None:
+def _check_letters(regions: Sequence[shapes.Region], where: str) -> None:
     letters, upper = layers_of(regions)
     if len({r.paint for r in upper}) > 1:
         named = ", ".join(sorted({r.paint for r in (*letters, *upper)}))
@@ -82,20 +69,27 @@ def _check_letters(regions: Sequence[Region], where: str) -> None:
         raise BadInput(
             f"{where}: fiducials and lettering of a second paint ({shown(upper[0].paint)}) are in regions: give them one"
         )
-    triangle = [r for r in regions if isinstance(r, PaintedTriangle)]
-    for layer, more in ((letters, triangle), (upper, [])):
-        rectangles, sides = rectangles_of(layer), len(slanted_sides_of([*layer, *more])[0])
-        cuts = max((len({v for r in rectangles for v in r[at : at + 2]}) for at in (0, 2)), default=0)
-        if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST or sides > SIDES_MOST:
-            raise BadInput(
-                f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis and of "
-                f"shapes with {sides} slanted or other sides; at most {RECTANGLES_MOST} between {CUTS_MOST} and "
-                f"{SIDES_MOST} are measured: paint fewer or simpler letters or fiducials"
-            )
-        _check_slanted(regions, [*layer, *more], where)
+    triangle = [r for r in regions if isinstance(r, shapes.PaintedTriangle)]
+    _check_layer(regions, letters, triangle, where)
+    _check_layer(regions, upper, [], where)
 
 
-def _check_slanted(regions: Sequence[Region], layer: Sequence[Region], where: str) -> None:
+def _check_layer(
+    regions: Sequence[shapes.Region], layer: Sequence[shapes.Lettering], more: Sequence[shapes.Region], where: str
+) -> None:
+    """Check that lettering of one paint, with more of that paint, is simple enough to be measured."""
+    rectangles, sides = rectangles_of(layer), len(slanted_sides_of([*layer, *more])[0])
+    cuts = max((len({v for r in rectangles for v in r[at : at + 2]}) for at in (0, 2)), default=0)
+    if len(rectangles) > RECTANGLES_MOST or cuts > CUTS_MOST or sides > SIDES_MOST:
+        raise BadInput(
+            f"{where}: the lettering is made of {len(rectangles)} rectangles between {cuts} lines along an axis and of "
+            f"shapes with {sides} slanted or other sides; at most {RECTANGLES_MOST} between {CUTS_MOST} and "
+            f"{SIDES_MOST} are measured: paint fewer or simpler letters or fiducials"
+        )
+    _check_slanted(regions, [*layer, *more], where)
+
+
+def _check_slanted(regions: Sequence[shapes.Region], layer: Sequence[shapes.Region], where: str) -> None:
     """Check that shapes with slanted sides keep away from others of their paint: what both cover would count twice."""
     for i, region in enumerate(regions):
         for j, other in enumerate(regions[:i]):
@@ -109,16 +103,16 @@ def _check_slanted(regions: Sequence[Region], layer: Sequence[Region], where: st
                 )
 
 
-def _check_upper(regions: Sequence[Region], i: int, below: int, where: str) -> None:
+def _check_upper(regions: Sequence[shapes.Region], i: int, below: int, where: str) -> None:
     """Check that lettering of a second paint comes above the other, and that all of it lies on the same."""
     letters, upper = layers_of(regions)
-    if any(r in letters or isinstance(r, PaintedTriangle) for r in regions[i:]):
+    if any(r in letters or isinstance(r, shapes.PaintedTriangle) for r in regions[i:]):
         raise BadInput(
             f"{where}: regions[{i}] has the second paint {shown(regions[i].paint)} of lettering, and lettering of the first one "
             "follows: what lies above comes last"
         )
     for j, other in enumerate(regions[:i]):
-        if (other in letters or isinstance(other, PaintedTriangle)) and apart_m(regions[i], other) <= TOUCH_M:
+        if (other in letters or isinstance(other, shapes.PaintedTriangle)) and apart_m(regions[i], other) <= TOUCH_M:
             raise BadInput(
                 f"{where}: regions[{i}] of the second paint {shown(regions[i].paint)} touches the border of regions[{j}] "
                 f"({part_of(other)}): move it wholly on or off"
@@ -136,10 +130,12 @@ def _check_upper(regions: Sequence[Region], i: int, below: int, where: str) -> N
         )
 
 
-def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where: str) -> None:
+def _check_parts(regions: Sequence[shapes.Region], letters: Sequence[shapes.Lettering], where: str) -> None:
     by = {part_of(region): region for region in regions}
     ring, arrow, disc, rim = by.get("ring"), by.get("arrow"), by.get("disc"), by.get("rim")
-    if isinstance(rim, PaintedRing) and not (isinstance(disc, PaintedDisc) and abs(rim.inner_m - disc.radius_m) < TOUCH_M):
+    if isinstance(rim, shapes.PaintedRing) and not (
+        isinstance(disc, shapes.PaintedDisc) and abs(rim.inner_m - disc.radius_m) < TOUCH_M
+    ):
         raise BadInput(f"{where}: the rim's inner_m {rim.inner_m:g} must be the disc's radius_m: a rim lies around a disc")
     if "panel" in by and (other := next((part for part in ("disc", "ring", "arrow") if part in by), None)):
         raise BadInput(
@@ -147,14 +143,24 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
             f'fiducials and lettering alone; take it out, or write ground = "{by["panel"].paint}" above [paints] if it is around'
         )
     triangle = by.get("triangle")
-    if isinstance(triangle, PaintedTriangle):
+    if isinstance(triangle, shapes.PaintedTriangle):
         if arrow is not None:
             raise BadInput(f"{where}: a triangle and an arrowhead are in regions: each tells the heading; take one out")
         if letters and all(letter.paint != triangle.paint for letter in layers_of(regions)[0]):
             raise BadInput(f"{where}: the triangle must have the lettering's paint, got {shown(triangle.paint)}")
-    if not isinstance(ring, PaintedRing):
-        return
-    if isinstance(triangle, PaintedTriangle) and reach_of(triangle)[1] >= ring.inner_m:
+    if isinstance(ring, shapes.PaintedRing):
+        _check_in_ring(ring, triangle, arrow, letters, where)
+
+
+def _check_in_ring(
+    ring: shapes.PaintedRing,
+    triangle: shapes.Region | None,
+    arrow: shapes.Region | None,
+    letters: Sequence[shapes.Lettering],
+    where: str,
+) -> None:
+    """Check that a triangle and lettering lie in the ring, and that an arrowhead points beyond it."""
+    if isinstance(triangle, shapes.PaintedTriangle) and reach_of(triangle)[1] >= ring.inner_m:
         raise BadInput(
             f"{where}: the triangle must fit inside of the ring, whose inner_m is {ring.inner_m:g}: its corners are "
             f"{reach_of(triangle)[1]:.3g} m from the centre"
@@ -164,14 +170,14 @@ def _check_parts(regions: Sequence[Region], letters: Sequence[Lettering], where:
             f"{where}: the lettering must fit inside of the ring, whose inner_m is {ring.inner_m:g}; a sheet or deck around "
             'it is no region: write its paint above [paints], as ground = "white"'
         )
-    if isinstance(arrow, PaintedArrowhead) and (arrow.tip_m <= ring.outer_m or arrow.paint != ring.paint):
+    if isinstance(arrow, shapes.PaintedArrowhead) and (arrow.tip_m <= ring.outer_m or arrow.paint != ring.paint):
         raise BadInput(
             f"{where}: the arrowhead must have the ring's paint and point beyond it: its tip_m is {arrow.tip_m:g}, the ring's "
             f"outer_m {ring.outer_m:g}"
         )
 
 
-def _below(regions: Sequence[Region], i: int, where: str) -> int:
+def _below(regions: Sequence[shapes.Region], i: int, where: str) -> int:
     """Return the topmost region that region `i` is painted on, -1 for the surroundings."""
     region, below = regions[i], -1
     line = _samples(region)
@@ -196,27 +202,27 @@ def _below(regions: Sequence[Region], i: int, where: str) -> int:
     return below
 
 
-def _samples(region: Region) -> F64:
+def _samples(region: shapes.Region) -> F64:
     """Return points of a region's borders, (N, 2) m, the corners among them."""
     lines = []
-    for border in borders_of(region, 180):
+    for border in shapes.borders_of(region, 180):
         way = np.roll(border, -1, axis=0) - border
         lines += [border + s * way for s in ((0.0,) if len(border) == 180 else (0.0, 0.2, 0.4, 0.6, 0.8))]
     return np.concatenate(lines)
 
 
-def _inner(region: Region) -> F64:
+def _inner(region: shapes.Region) -> F64:
     """Return points in the middle of a region, (N, 2) m."""
     match region:
-        case PaintedDisc() | PaintedPanel():
+        case shapes.PaintedDisc() | shapes.PaintedPanel():
             return np.zeros((1, 2))
-        case PaintedRing():
-            return circle(0.5 * (region.inner_m + region.outer_m), 4)
-        case PaintedArrowhead():
+        case shapes.PaintedRing():
+            return shapes.circle(0.5 * (region.inner_m + region.outer_m), 4)
+        case shapes.PaintedArrowhead():
             return np.asarray(region.corners().mean(axis=0, keepdims=True))
         case _ if is_slanted(region):
             return np.array([piece.mean(axis=0) for piece in convex_pieces_of(region)])
-        case PaintedTriangle():
+        case shapes.PaintedTriangle():
             raise AssertionError("a triangle has slanted sides")
         case _:
             return np.array([(0.5 * (x0 + x1), 0.5 * (y0 + y1)) for x0, x1, y0, y1 in rectangles_of([region])])

@@ -25,36 +25,20 @@ def pad_shape(pad: Pad) -> Mapping[str, Any]:
     """Return the members of the core's `dl_pad_shape`. A kind of edge that the pad lacks has no contrast."""
     marks = pad.markings
     arrow = marks.arrowhead()[:, :2] if marks.triangle is None else marks.triangle.corners()
-    p = marks.panel
-    panel = [] if p is None else [(-0.5 * p.length_m, 0.5 * p.length_m, -0.5 * p.width_m, 0.5 * p.width_m)]
-    field_m, ring = marks.field_radius_m, (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
-    disc = _region((field_m,) if field_m else (), DL_NONE if marks.panel is None else _PANEL_FIGURE)
-    has_lettering = bool(marks.letters) or marks.triangle is not None
-    h, upper = _region((), _H_FIGURE if has_lettering else DL_NONE), _region((), _UPPER_FIGURE if marks.upper else DL_NONE)
-    painted: dict[str, dict[str, Any]] = {}
-    if marks.has_ground:
-        painted["disc"] = disc
-    if ring or marks.arrow is not None:
-        painted["ring"] = _region(ring, _POINTER_FIGURE if marks.arrow is not None else DL_NONE)
-    if has_lettering:
-        painted["h"] = h
-    if marks.rim_width_m:
-        painted["rim"] = _region((pad.disc_radius_m, field_m))
-    if marks.upper:
-        painted["upper"] = upper
-    at = {name: index for index, name in enumerate(painted)}
-    below = {"disc": DL_NONE, "rim": DL_NONE}
-    if marks.upper_on_letters:
-        below["upper"] = at["h"]
-    lies_on = [below.get(name, at.get("disc", DL_NONE)) for name in painted]
+    ring = (marks.ring_outer_m, marks.ring_inner_m) if marks.ring_outer_m else ()
+    h, upper = _region((), _if(_has_lettering(marks), _H_FIGURE)), _region((), _if(bool(marks.upper), _UPPER_FIGURE))
+    disc = _region((marks.field_radius_m,) if marks.field_radius_m else (), _if(marks.panel is not None, _PANEL_FIGURE))
+    painted = _painted(pad, {"disc": disc, "h": h, "upper": upper}, ring)
+    at = dict.fromkeys(("disc", "ring", "h", "upper"), DL_NONE) | {name: index for index, name in enumerate(painted)}
+    below = {"disc": DL_NONE, "rim": DL_NONE, "upper": at["h" if marks.upper_on_letters else "disc"]}
+    lies_on = [below.get(name, at["disc"]) for name in painted]
     pointer = at["ring"] if marks.arrow is not None else at["h"] if marks.triangle is not None else DL_NONE
     return {
-        "contrast_count": len(painted), "pointer_kind": EdgeKind.ARROW if pointer != DL_NONE else DL_NONE,
+        "contrast_count": len(painted), "pointer_kind": _if(pointer != DL_NONE, EdgeKind.ARROW),
         "pointer_contrast": pointer, "pointer_figure": _POINTER_FIGURE,
         "lies_on": [*lies_on, *[DL_NONE] * (DL_PAD_CONTRASTS - len(lies_on))],
         "contrast_of_kind": (
-            at.get("disc", DL_NONE), at.get("ring", DL_NONE) if ring else DL_NONE, pointer, at["h"] if marks.letters else DL_NONE,
-            at.get("upper", DL_NONE),
+            at["disc"], _if(bool(ring), at["ring"]), pointer, _if(bool(marks.letters), at["h"]), at["upper"]
         ),
         "paint_of_kind": (EdgeKind.DISC, EdgeKind.RING, _paint_of_pointer(marks), EdgeKind.H, EdgeKind.UPPER),
         "disc_radius_m": pad.disc_radius_m, "half_length_m": 0.5 * marks.lettering_m[0] or pad.disc_radius_m,
@@ -64,13 +48,40 @@ def pad_shape(pad: Pad) -> Mapping[str, Any]:
         "kinds": [
             disc, _region(ring), _region(ring, has_wedge=marks.arrow is not None) if marks.triangle is None else h, h, upper,
         ],
-        "figures": [
-            _figure(rectangles_of(marks.letters), marks.letters if marks.triangle is None else [*marks.letters, marks.triangle]),
-            _arrow_figure(pad) if marks.triangle is None else _figure([], [marks.triangle]), _figure(panel),
-            _figure(rectangles_of(marks.upper), marks.upper),
-        ],
-        "wedge": _arrow_wedge(pad),
+        "figures": _figures(pad), "wedge": _arrow_wedge(pad),
     }  # fmt: skip
+
+
+def _if(is_there: bool, index: int) -> int:
+    return index if is_there else DL_NONE
+
+
+def _has_lettering(marks: Markings) -> bool:
+    return bool(marks.letters) or marks.triangle is not None
+
+
+def _painted(pad: Pad, regions: Mapping[str, dict[str, Any]], ring: Sequence[float]) -> dict[str, dict[str, Any]]:
+    """Return the regions that have a contrast with what they lie on, in the core's order."""
+    marks = pad.markings
+    pointer = _if(marks.arrow is not None, _POINTER_FIGURE)
+    each = {
+        "disc": (marks.has_ground, regions["disc"]),
+        "ring": (bool(ring) or marks.arrow is not None, _region(ring, pointer)),
+        "h": (_has_lettering(marks), regions["h"]),
+        "rim": (bool(marks.rim_width_m), _region((pad.disc_radius_m, marks.field_radius_m))),
+        "upper": (bool(marks.upper), regions["upper"]),
+    }
+    return {name: region for name, (is_there, region) in each.items() if is_there}
+
+
+def _figures(pad: Pad) -> list[dict[str, Any]]:
+    """Return the figures of lettering, pointer, panel, and lettering of a second paint."""
+    marks, p = pad.markings, pad.markings.panel
+    panel = _figure([] if p is None else [(-0.5 * p.length_m, 0.5 * p.length_m, -0.5 * p.width_m, 0.5 * p.width_m)])
+    letters, upper = rectangles_of(marks.letters), _figure(rectangles_of(marks.upper), marks.upper)
+    if marks.triangle is None:
+        return [_figure(letters, marks.letters), _arrow_figure(pad), panel, upper]
+    return [_figure(letters, [*marks.letters, marks.triangle]), _figure([], [marks.triangle]), panel, upper]
 
 
 def _paint_of_pointer(marks: Markings) -> EdgeKind:
@@ -88,19 +99,20 @@ def _gap(marks: Markings) -> float:
     if marks.panel is not None:
         # The border around its lettering; of an empty panel half of its shorter side.
         return 0.5 * min(marks.panel.length_m - marks.lettering_m[0], marks.panel.width_m - marks.lettering_m[1])
-    around = [
-        (0.0, _lettering_reach(marks)) if marks.letters or marks.triangle is not None else None,
-        (marks.ring_inner_m or marks.arrow_tip_m - marks.arrow_depth_m, marks.arrow_tip_m or marks.ring_outer_m)
-        if marks.ring_outer_m or marks.arrow is not None
-        else None,
-        (marks.field_radius_m, marks.field_radius_m) if marks.field_radius_m else None,
-    ]
-    parts = [part for part in around if part is not None]
+    parts = []
+    if _has_lettering(marks):
+        parts.append((0.0, _lettering_reach(marks)))
+    if marks.ring_outer_m or marks.arrow is not None:
+        begins_m = marks.ring_inner_m or marks.arrow_tip_m - marks.arrow_depth_m
+        parts.append((begins_m, marks.arrow_tip_m or marks.ring_outer_m))
+    if marks.field_radius_m:
+        parts.append((marks.field_radius_m, marks.field_radius_m))
     if len(parts) > 1:
         return min(outer[0] - inner[1] for inner, outer in pairwise(parts))
-    lines = [width for width in (marks.leg_width_m, marks.bar_width_m) if width]
-    lines += [] if marks.triangle is None else [marks.triangle.stroke_m]
-    return min(lines, default=0.0) or marks.ring_outer_m - marks.ring_inner_m or marks.field_radius_m
+    widths = (marks.leg_width_m, marks.bar_width_m, 0.0 if marks.triangle is None else marks.triangle.stroke_m)
+    return (
+        min((width for width in widths if width), default=0.0) or marks.ring_outer_m - marks.ring_inner_m or marks.field_radius_m
+    )
 
 
 def _lettering_reach(marks: Markings) -> float:
@@ -181,7 +193,7 @@ def _zones(pad: Pad) -> list[dict[str, Any]]:
     """Return, for each kind of edge, where edges of another kind are."""
     marks = pad.markings
     length, width, field_m = 0.5 * marks.lettering_m[0], 0.5 * marks.lettering_m[1], marks.field_radius_m or _FAR_M
-    reach_m, has_lettering = _lettering_reach(marks), bool(marks.letters) or marks.triangle is not None
+    reach_m, has_lettering = _lettering_reach(marks), _has_lettering(marks)
 
     def zone(inside: float, outside: float, box: tuple[float, ...] = (_FAR_M,) * 4, radius: float = _FAR_M) -> dict[str, Any]:
         return {

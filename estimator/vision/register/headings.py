@@ -22,12 +22,9 @@ from estimator.vision.detect.template import BLURS_M, F32, STEP_M, template
 from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LINEAR_LIGHT, LUMA, linear_light
 
-_LENS_PX = 0.75
-"""Standard deviation of a pixel and of a lens together, px."""
-_MOST_PX = 160
-"""Pixels along a side that are looked at; of a larger image every second one or fewer."""
-_FEWEST = 40
-"""Least number of pixels for which headings are compared."""
+_LENS_PX = 0.75  # Standard deviation of a pixel and of a lens together, px
+_MOST_PX = 160  # Pixels along a side that are looked at; of a larger image every second one or fewer
+_FEWEST = 40  # Least number of pixels for which headings are compared
 
 
 def heading_z_scores(px: U8, camera: Camera, pad: Pad, pose: PadPose, turns_rad: Sequence[float]) -> dict[float, float]:

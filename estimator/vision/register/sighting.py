@@ -17,8 +17,7 @@ from estimator.vision.pad.drawing import EdgeKind
 from estimator.vision.register.registration import Registration
 
 _NAMES = [kind.name.lower() for kind in EdgeKind]
-_YAW_VAR_MAX = 0.5
-"""Variance of the heading from which it counts as unknown, rad^2."""
+_YAW_VAR_MAX = 0.5  # Variance of the heading from which it counts as unknown, rad^2
 
 
 def sighting_of_look(frame: Frame, found: Registration, confidence: float) -> Sighting:
@@ -38,13 +37,7 @@ def sighting_of_look(frame: Frame, found: Registration, confidence: float) -> Si
 
 
 def sighting_of(
-    frame: Frame,
-    pose: PadPose,
-    cov_pose: F64,
-    camera: Camera,
-    orientation: Orientation,
-    ambiguous: bool,
-    confidence: float,
+    frame: Frame, pose: PadPose, cov_pose: F64, camera: Camera, orientation: Orientation, ambiguous: bool, confidence: float
 ) -> Sighting:
     """Return the sighting of a pose in the camera's axes.
 

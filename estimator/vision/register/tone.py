@@ -24,8 +24,7 @@ STEP, _LOWEST, _HIGHEST = 0.1, -10, 4
 _UNEXPLAINED_PX, _FAR_OFF_PX, _STRIDE = 0.03, 0.12, 3
 """Displacement of edges from which something is learnt, and from which by so many steps at once: of right tones it is 0.02 and
 less, of one step beside 0.04, of two 0.07."""
-_LESS = 0.97
-"""Factor on what is left over contrast below which a step is kept."""
+_LESS = 0.97  # Factor on what is left over contrast below which a step is kept
 _EVERY_NS, _RESTS_NS = 300_000_000, 3_000_000_000
 """Time between two trials, and after neither side was better."""
 _AGREES, _CLIPPED, _CLIPPED_SHARE = 0.8, 253, 0.01

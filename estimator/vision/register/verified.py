@@ -25,18 +25,15 @@ CLOSE, ROUGH = RegistrationOptions(coarse=False), RegistrationOptions(coarse=Tru
 CODED_PX = 0.12
 """Sigma of the place of a patch of a frame that a codec predicted. H.264 gives motion by quarters of a pixel: that leaves 0.07
 px; 1.6 times that, as what it leaves goes on from frame to frame while each frame counts as a measurement of its own."""
-_CERTAIN = 0.9
-"""Confidence from which it is not tried whether something covers a part of the pad."""
+_CERTAIN = 0.9  # Confidence from which it is not tried whether something covers a part of the pad
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
-_WORTH_TURNING = 1e-4
-"""Confidence from which the heading of a registration matters: its place may be the pad's then."""
+_WORTH_TURNING = 1e-4  # Confidence from which the heading of a registration matters: its place may be the pad's then
 _DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
 """Standard deviations from which the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
 rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
 """
-_STEPS = 4
-"""Steps of the alignment with what is not covered."""
+_STEPS = 4  # Steps of the alignment with what is not covered
 _STRAYS, _STRAYS_PX = 0.03, 0.3
 """Changes from its start at which a registration has strayed.
 
@@ -127,26 +124,27 @@ class _Seen:
 
     def verify(self, start: PadPose, prior_log_odds: float, cut: F64 | None) -> Verified | None:
         """Register the drawing from a start pose and verify it there, at its heading alone."""
-        best, strayed, halved = None, False, False
-        if cut is None:
-            best = self.verify_visible(start, prior_log_odds, UNCUT)
-            strayed = best is not None and self._strays(best.found, start)
-            halved = best is not None and best.confidence >= SURE and _inliers(best.found) < _HALVED
-            settled = best is not None and best.confidence >= _CERTAIN and not (strayed or halved)
-            if settled or not self.view.pad.markings.is_searched_by_parts:
-                return best
-            sigma_rad = SIGMA_TILT_RAD if self.orientation.measured else SIGMA_TILT_FREE_RAD
-            uncovered = align_uncovered(self.view, start, sigma_rad, _STEPS)
-            if uncovered is None:
-                return best
-            start, cut = uncovered[0].pose, uncovered[1]
-        other = self.near().verify_visible(start, prior_log_odds + COVERED_LOG_ODDS, cut)
+        if cut is not None:
+            return self.near().verify_visible(start, prior_log_odds + COVERED_LOG_ODDS, cut)
+        best = self.verify_visible(start, prior_log_odds, UNCUT)
+        if (best is not None and self._is_settled(best, start)) or not self.view.pad.markings.is_searched_by_parts:
+            return best
+        sigma_rad = SIGMA_TILT_RAD if self.orientation.measured else SIGMA_TILT_FREE_RAD
+        uncovered = align_uncovered(self.view, start, sigma_rad, _STEPS)
+        if uncovered is None:
+            return best
+        beside, cut = uncovered[0].pose, uncovered[1]
+        other = self.near().verify_visible(beside, prior_log_odds + COVERED_LOG_ODDS, cut)
         if best is None or other is None:
             return best or other
-        if halved:
+        if _is_halved(best):
             return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
-        stayed = strayed and other.confidence >= SURE and not self._strays(other.found, start)
+        stayed = self._strays(best.found, start) and other.confidence >= SURE and not self._strays(other.found, beside)
         return other if stayed or other.confidence > best.confidence else best
+
+    def _is_settled(self, best: Verified, start: PadPose) -> bool:
+        """Return whether it need not be tried whether something covers a part of the pad."""
+        return best.confidence >= _CERTAIN and not (self._strays(best.found, start) or _is_halved(best))
 
     def _strays(self, found: Registration, start: PadPose) -> bool:
         """Return whether a registration is so much nearer or farther than its start that something else has pulled it.
@@ -176,6 +174,11 @@ class _Seen:
         elif view.pad.markings.is_letter_alone:
             odds = min(odds, LETTER_MOST) + letter_log_odds(found, tracked)
         return Verified(found, confidence(odds), None if cut is UNCUT else cut, prior_log_odds)
+
+
+def _is_halved(best: Verified) -> bool:
+    """Return whether a shade may lie across a distant pad."""
+    return best.confidence >= SURE and _inliers(best.found) < _HALVED
 
 
 def _inliers(found: Registration) -> float:

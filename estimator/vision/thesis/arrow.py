@@ -23,11 +23,9 @@ _SIGMA_TIP_PX = 0.06
 this.
 """
 _TIP_CANDIDATES = 6
-_MIN_REACH_PX = 3.2
-"""Arms shorter than this are only blur: the tip comes out up to 2 % of the arrow's length too far."""
+_MIN_REACH_PX = 3.2  # Arms shorter than this are only blur: the tip comes out up to 2 % of the arrow's length too far
 _SECTORS = 24
-_MIN_PAINT = 0.25
-"""Smallest coverage that counts as orange, as a fraction of the brightest orange: in deep shadow."""
+_MIN_PAINT = 0.25  # Smallest coverage that counts as orange, as a fraction of the brightest orange: in deep shadow
 _MAX_REACH_PX = 24.0
 
 

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from estimator.vision.detect.pyramid import U8
 
-_MIN_BLOB_PX = 25.0
-"""Smallest disc that is considered: a radius of about 3 px, as the sim camera sees the pad from 48 m."""
+_MIN_BLOB_PX = 25.0  # Smallest disc that is considered: a radius of about 3 px, as the sim camera sees the pad from 48 m
 _CLOSE = np.ones((5, 5), np.uint8)
-_SEEDS = 0.02
-"""Fraction of a blob that must lie within the strict green limits; around such seeds the paler range counts too."""
+_SEEDS = 0.02  # Fraction of a blob that must lie within the strict green limits; around such seeds the paler range counts too
 _BLOBS = 6
 
 
@@ -72,13 +70,18 @@ def choose_blob(masks: Masks, sure: U8, widest_px: int | None = None) -> DiscBlo
         score = plausibility**2 * float(np.sqrt(area))
         if best is None or score > best.score:
             best = DiscBlob(hull, touches, plausibility, score)
-    if best is not None and best.touches_border and len(edge_pieces) > 1:
-        # From close by, ring and H cut the visible disc into pieces that each reach the frame's edge.
-        joined = np.asarray(cv2.convexHull(np.concatenate(edge_pieces)), np.int32)
-        plausibility = _plausibility(joined, True, masks)
-        if plausibility >= 0.8 * best.plausibility:
-            return DiscBlob(joined, True, max(best.plausibility, plausibility), best.score)
-    return best
+    if best is None or len(edge_pieces) < 2:
+        return best
+    return _joined(best, edge_pieces, masks)
+
+
+def _joined(best: DiscBlob, pieces: list[NDArray[np.int32]], masks: Masks) -> DiscBlob:
+    """Return a disc that ring and H cut into pieces which each reach the frame's edge; the best piece if they are none."""
+    hull = np.asarray(cv2.convexHull(np.concatenate(pieces)), np.int32)
+    plausibility = _plausibility(hull, True, masks)
+    if not best.touches_border or plausibility < 0.8 * best.plausibility:
+        return best
+    return DiscBlob(hull, True, max(best.plausibility, plausibility), best.score)
 
 
 def _plausibility(hull: NDArray[np.int32], touches: bool, masks: Masks) -> float:

@@ -25,8 +25,7 @@ Side = Literal["long", "short"]
 
 _MIN_STROKE_PX = 4.5
 _SIGMA_CORNER_PX = 0.06
-_SIGMA_CORNER = 0.004
-"""Error of a corner as a fraction of a stroke's width: a shadow's edge across it."""
+_SIGMA_CORNER = 0.004  # Error of a corner as a fraction of a stroke's width: a shadow's edge across it
 _ALONG = math.cos(math.radians(10.0))
 """Smallest cosine between an arm and the line between its two corners, for any perspective; the diagonal is 18 degrees off the
 bar.
@@ -37,8 +36,7 @@ _IS_INNER = np.isin(np.arange(12), _INNER)
 
 Similarity = tuple[float, float, float, float]
 """The parameters a, b, x, y of q = [[a, -b], [b, a]] p + [x, y]."""
-_Pairs = dict[int, int]
-"""The index of the corner that was found for each corner of the drawing."""
+_Pairs = dict[int, int]  # The index of the corner that was found for each corner of the drawing
 
 
 def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
@@ -59,30 +57,17 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
     uv = np.array([c.uv_px for c in found]) + origin
     plane = view.plane(uv)
     drawing = pad.markings.h_corners()[:, :2]
-    best: tuple[int, float, _Pairs] | None = None
-    for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
-        side = _side_of(found[a], found[b])
-        if side is None:
-            continue
-        aligned = _align(a, b, side, found, plane, drawing)
-        matched = None if aligned is None else _match(found, plane, drawing, aligned, pad)
-        if matched is None:
-            continue
-        pairs, misfit = matched
-        if best is None or (len(pairs), -misfit) > (best[0], -best[1]):
-            best = (len(pairs), misfit, pairs)
-            if len(pairs) == len(found) or len(pairs) == len(drawing):
-                break
+    best = _best_match(found, plane, drawing, pad)
     if best is None:
         return None
-    count, misfit, pairs = best
+    pairs, misfit = best
     at, places = list(pairs.values()), drawing[list(pairs)]
     fit = _similarity(places, plane[at])
     if fit is None or not _painted(fit, seg, view, pad, whiteness):
         return None
     sigma = np.hypot([found[i].sigma_px for i in at], math.hypot(_SIGMA_CORNER_PX, _SIGMA_CORNER * stroke_px))
     marks = Marks(uv[at], places, point_modes(sigma), yaw_ambiguous=True)
-    confidence = (1.0 - math.exp(-0.5 * count)) * math.exp(-((misfit / 0.15) ** 2)) * (0.5 + 0.5 * seg.plausibility)
+    confidence = (1.0 - math.exp(-0.5 * len(pairs))) * math.exp(-((misfit / 0.15) ** 2)) * (0.5 + 0.5 * seg.plausibility)
     centre = view.pixels(_apply(fit, np.zeros((1, 2))))
     features = (
         Feature("point", "corners", uv[at]),
@@ -90,6 +75,20 @@ def find_corners(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | Non
         Feature("point", "centre", centre),
     )
     return Cue(marks, confidence, features)
+
+
+def _best_match(found: list[RightAngle], plane: F64, drawing: F64, pad: Pad) -> tuple[_Pairs, float] | None:
+    """Return the pairs of most corners, and of those the least misfit, from any two inner corners of one side."""
+    best: tuple[_Pairs, float] | None = None
+    for a, b in itertools.combinations([i for i, c in enumerate(found) if c.inner], 2):
+        side = _side_of(found[a], found[b])
+        aligned = None if side is None else _align(a, b, side, found, plane, drawing)
+        matched = None if aligned is None else _match(found, plane, drawing, aligned, pad)
+        if matched is not None and (best is None or (len(matched[0]), -matched[1]) > (len(best[0]), -best[1])):
+            best = matched
+            if len(best[0]) in (len(found), len(drawing)):
+                break
+    return best
 
 
 def _side_of(a: RightAngle, b: RightAngle) -> Side | None:

@@ -30,12 +30,9 @@ from estimator.vision.thesis.segmentation import ColourSet, Segmentation, segmen
 
 _POINTS = 120
 _MIN_RADIUS_PX = 3.0
-_SIGMA_EDGE_PX = 0.06
-"""Error that all edge points may have in common (blur, tone curve, paint), so that it does not average out."""
-_BLUR_PX2 = 0.8
-"""Half-way points of a curved, blurred edge are displaced by about the blur's variance over the radius."""
-_CORRELATED = 4.0
-"""Number of neighbouring edge points that count as one, because they share pixels and so errors."""
+_SIGMA_EDGE_PX = 0.06  # Error that all edge points may have in common (blur, tone curve, paint), so that it does not average out
+_BLUR_PX2 = 0.8  # Half-way points of a curved, blurred edge are displaced by about the blur's variance over the radius
+_CORRELATED = 4.0  # Number of neighbouring edge points that count as one, because they share pixels and so errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +135,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
     if len(edges) < 0.6 * _POINTS or _goes_on_outside(seg, outline):
         return None
     plane = view.plane(edges)
-    found = _robust_fit(plane)
-    if found is None:
+    if (found := _robust_fit(plane)) is None:
         return None
     ellipse, inside = found
     radius_px = math.sqrt(outline.a * outline.b)
@@ -166,10 +162,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
     modes[0, :, 0] = modes[1, :, 1] = math.hypot(sigma_centre, 0.3 * _SIGMA_EDGE_PX)
     modes[2] = out * math.hypot(sigma_radius, _SIGMA_EDGE_PX, _BLUR_PX2 / radius_px)
     confidence = fraction * roundness * math.exp(-((rms_px / max(0.7, 0.015 * radius_px)) ** 2)) * (0.4 + 0.6 * seg.plausibility)
-    features = (
-        Feature("ellipse", "disc", view.pixels(ellipse.points(72))),
-        Feature("point", "centre", centre_uv),
-    )
+    features = (Feature("ellipse", "disc", view.pixels(ellipse.points(72))), Feature("point", "centre", centre_uv))
     return Cue(Marks(uv, radius_m * unit, modes, yaw_known=False), confidence, features)
 
 

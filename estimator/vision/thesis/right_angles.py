@@ -17,8 +17,7 @@ from estimator.contracts.geometry import F64
 from estimator.vision.thesis.segmentation import F32, U8
 
 _RADII = 7
-_MIN_RADIUS_PX = 1.6
-"""Smallest radius of a circle, px; closer in, blur rounds the corner."""
+_MIN_RADIUS_PX = 1.6  # Smallest radius of a circle, px; closer in, blur rounds the corner
 
 
 class RightAngle(Struct, frozen=True, eq=False):

@@ -25,14 +25,10 @@ F32 = NDArray[np.float32]
 Triple = tuple[int, int, int]
 
 _MOST_COMPONENTS = 6
-_FAINT_PX = 24
-"""Widest disc that may consist only of mixed pixels."""
-_FAINT_SATURATION = 30
-"""Saturation below which grey is taken for faint paint."""
-_PLAIN = 0.7
-"""Plausibility above which the strict limits suffice."""
-_MIN_CONTRAST = 5.0
-"""Smallest contrast between two paints, of 255 in linear light; less is noise."""
+_FAINT_PX = 24  # Widest disc that may consist only of mixed pixels
+_FAINT_SATURATION = 30  # Saturation below which grey is taken for faint paint
+_PLAIN = 0.7  # Plausibility above which the strict limits suffice
+_MIN_CONTRAST = 5.0  # Smallest contrast between two paints, of 255 in linear light; less is noise
 _LINEAR = np.asarray(255.0 * LINEAR_LIGHT, np.float32)
 """Linear light of each of the 256 values. A lens and a sensor add light, and the tone curve comes last; measured in the values
 themselves, the edge between dark and bright paint is off by a fifth of a pixel. Source: IEC 61966-2-1."""

@@ -30,10 +30,8 @@ from estimator.vision.track.memory import Now, Registered, Seen, TrackerMemory
 from estimator.vision.track.read_deck import shows_deck
 from estimator.vision.track.register import by_thesis, register, verify_cues
 
-_NEAR_DRAWN_M = 0.4
-"""Width of the outline of something about the pad, whose own is not known."""
-_SQUARE = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
-"""An outline of one metre."""
+_NEAR_DRAWN_M = 0.4  # Width of the outline of something about the pad, whose own is not known
+_SQUARE = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])  # An outline of one metre
 
 
 def by_paint(
@@ -77,19 +75,22 @@ def _remembered(now: Now, best: Registered | None, left: SearchMemory, belief: R
         left: what the search leaves.
     """
     sure, memory = best if best is not None and best.is_sure else None, now.memory
-    alike = sure is not None and sure.sighting.yaw_ambiguous and alike_headings(now.tracker.pad) > 1
-    pose = sure.found.pose if sure is not None and shows_deck(now, sure, belief) else None
-    tone = memory.tone.relaxed() if sure is None else memory.tone
-    due = now.tracker.watches and now.deck.is_due(now.at, now.view, pose)
-    due = due or (sure is not None and tone.is_due(sure.found, now.at))
-    cover = None if sure is None or sure.cut is None else (sure.found.pose.rays().T @ sure.cut, now.at)
+    paint = fade(memory.paint) if best is None else best.paint
+    if sure is None:
+        due = now.tracker.watches and now.deck.is_due(now.at, now.view, None)
+        unread = (now, best, belief) if due else None
+        return TrackerMemory(paint, left, deck=now.deck, tone=memory.tone.relaxed(), unread=unread)
+    pose, alike = sure.found.pose, sure.sighting.yaw_ambiguous and alike_headings(now.tracker.pad) > 1
+    due = now.tracker.watches and now.deck.is_due(now.at, now.view, pose if shows_deck(now, sure, belief) else None)
+    due = due or memory.tone.is_due(sure.found, now.at)
+    cover = None if sure.cut is None else memory.cover_at(now.at) or (pose.rays().T @ sure.cut, now.at)
     return TrackerMemory(
-        fade(memory.paint) if best is None else best.paint,
+        paint,
         left,
-        sure.sighting.yaw_rad if sure is not None and alike else None,
+        sure.sighting.yaw_rad if alike else None,
         deck=now.deck,
-        tone=tone,
-        cover=cover and (memory.cover_at(now.at) or cover),
+        tone=memory.tone,
+        cover=cover,
         unread=(now, best, belief) if due else None,
     )
 

@@ -16,8 +16,7 @@ from estimator.vision.camera.pose import PadPose
 from estimator.vision.pad.pad import Pad
 from estimator.vision.track.config import TrackerConfig
 
-_FRESH_S = 1.0
-"""Age of the newest fused sighting up to which a belief excludes places."""
+_FRESH_S = 1.0  # Age of the newest fused sighting up to which a belief excludes places
 EXPECTED_SIGMAS = 3.0
 """Standard deviations of the expected position within which what is found counts as expected."""
 _REACH_OF_DISC = 0.6
@@ -27,10 +26,8 @@ lie within this and the next.
 Much of the belief's uncertainty comes from the attitude and does not show in the frame. A start that is too far off only costs a
 search.
 """
-_REACH_OF_HEIGHT = 0.04
-"""What is added to that, as a fraction of the height."""
-_SIGMA_YAW_RAD = 0.3
-"""Largest standard deviation of a heading that tracking starts from."""
+_REACH_OF_HEIGHT = 0.04  # What is added to that, as a fraction of the height
+_SIGMA_YAW_RAD = 0.3  # Largest standard deviation of a heading that tracking starts from
 
 
 class ExpectedPlace(Struct, frozen=True, eq=False):

@@ -33,12 +33,9 @@ right one 0.99 and more.
 """
 WORTH_ANOTHER = 0.85
 """Share below which another start is tried."""
-_BETTER = 0.15
-"""Difference in that share by which one registration is better than another."""
-_SUPPORTED = 0.2
-"""Confidence from which what is found at the expected place is the tracked pad although something else is surer."""
-_COVER_NS = 250_000_000
-"""Time for which a cover is taken to lie where it was found."""
+_BETTER = 0.15  # Difference in that share by which one registration is better than another
+_SUPPORTED = 0.2  # Confidence from which what is found at the expected place is the tracked pad although something else is surer
+_COVER_NS = 250_000_000  # Time for which a cover is taken to lie where it was found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,14 +21,11 @@ from estimator.vision.register.tone import learn_tone
 from estimator.vision.track.expected import EXPECTED_SIGMAS, expected, sigma_of
 from estimator.vision.track.memory import Now, Registered, TrackerMemory
 
-_SHOWS = 0.5
-"""Least share of the edges that agree with a registration at which the deck is read."""
+_SHOWS = 0.5  # Least share of the edges that agree with a registration at which the deck is read
 _PLACE_RADII = 0.08
 """Largest standard deviation, in radii of the disc, of a predicted place at which it is read without a registration."""
-_TURNED_RAD = 0.1
-"""Largest difference of a heading from the belief's."""
-_UNSEEN_BLUR_PX = 1.0
-"""Blur that is assumed without a registration."""
+_TURNED_RAD = 0.1  # Largest difference of a heading from the belief's
+_UNSEEN_BLUR_PX = 1.0  # Blur that is assumed without a registration
 
 
 def read_deck(seen: Detection, memory: TrackerMemory) -> tuple[Detection, TrackerMemory]:

@@ -32,20 +32,14 @@ from estimator.vision.track.config import TrackerConfig
 from estimator.vision.track.expected import EXPECTED_SIGMAS, ExpectedPlace, expected, in_camera, near_enough, sigma_of
 from estimator.vision.track.memory import WORTH_ANOTHER, Now, Registered, Seen
 
-_CLOSE_PX = 1.0
-"""Largest standard deviation of the expected position in the frame at which registration starts directly from it."""
-_NEAREST_M = 0.05
-"""Least depth of a pose that is registered."""
-_SEARCHED = 0.75
-"""Share of a frame's work at which a search ends: the rest is for the registration of a candidate."""
-_CANDIDATES = 2
-"""Number of candidates of acquisition that are registered, those after the first while the frame's work lasts."""
+_CLOSE_PX = 1.0  # Largest standard deviation of the expected position in the frame at which registration starts directly from it
+_NEAREST_M = 0.05  # Least depth of a pose that is registered
+_SEARCHED = 0.75  # Share of a frame's work at which a search ends: the rest is for the registration of a candidate
+_CANDIDATES = 2  # Number of candidates of acquisition that are registered, those after the first while the frame's work lasts
 WORTH_A_TRY = 0.03
 """Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
-_COVER_SURE = 0.9
-"""Least confidence and agreement of what is seen beside a cover that was found before."""
-_SMALL_PX = 15.0
-"""Radius of the disc below which a pad that the estimate did not lead to is searched some pixels about its place."""
+_COVER_SURE = 0.9  # Least confidence and agreement of what is seen beside a cover that was found before
+_SMALL_PX = 15.0  # Radius of the disc below which a pad that the estimate did not lead to is searched some pixels about its place
 _LEAST_ABOUT = 0.12
 """Least fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more."""
 

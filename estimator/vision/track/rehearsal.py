@@ -21,8 +21,7 @@ from estimator.vision.track.config import TrackerConfig as TrackerConfig
 from estimator.vision.track.memory import TrackerMemory as TrackerMemory
 from estimator.vision.track.tracker import track
 
-_RADII = 5.0
-"""Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame."""
+_RADII = 5.0  # Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame
 _AT = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 _DECK, _H, _ORANGE, _DISC, _BLACK = (110, 105, 100), (235, 235, 235), (30, 120, 230), (60, 130, 50), (20, 20, 20)
 """Colours of deck and paints, BGR; fiducials are dark on light."""

@@ -35,8 +35,7 @@ from estimator.vision.track.memory import TrackerMemory as TrackerMemory
 from estimator.vision.track.read_deck import read_deck
 from estimator.vision.track.register import by_thesis
 
-_EVERY_PX = 16
-"""Sampling step of columns and rows for the test whether a frame is dark."""
+_EVERY_PX = 16  # Sampling step of columns and rows for the test whether a frame is dark
 _DARK = 25
 """Value of the brightest channel below which half of a dark frame's pixels lie: 0.9 % of the light that saturates the camera, in
 which a paint's contrast is a few values. Of night frames from 1 m or more nearly all are, and no frame by day."""

@@ -32,7 +32,7 @@ from estimator.vision.register.doubts import cells_log_odds
 from estimator.vision.register.headings import heading_z_scores
 from estimator.vision.register.registration import RegistrationOptions, look, register
 from estimator.vision.register.verified import verify
-from estimator.vision.track import by_paint
+from estimator.vision.track import register as tracking
 from estimator.vision.track.config import TrackerConfig
 from estimator.vision.track.memory import TrackerMemory
 from estimator.vision.track.tracker import track
@@ -82,7 +82,7 @@ def test_a_pad_of_several_headings_is_followed_without_a_search(name: str, monke
     assert seen.selected.yaw_ambiguous
     d, cov = seen.selected.d_body_pad_level, np.diag([1e-4] * 6 + [3.0])
     belief = RelativeState(STAMP.measured_at, "ekf", d, np.zeros(3), None, cov, STAMP.measured_at, True)
-    monkeypatch.setattr(by_paint, "search", None)
+    monkeypatch.setattr(tracking, "search", None)
     again = track(config, memory, Frame(STAMP, 0, px), attitude, belief)[0].selected
     assert again.yaw_rad == pytest.approx(seen.selected.yaw_rad, abs=0.01)
     assert again.confidence > 0.9
