@@ -105,9 +105,8 @@ def _components(px: U8, step: int, pad: Pad) -> Iterator[_Component]:
     count_work(grey.size * _OUTLINE_WORK * circle)
     for sign in (1, -1):
         contours, tree = cv2.findContours(np.asarray(sign * off > _STANDS_OUT, np.uint8), which, cv2.CHAIN_APPROX_NONE)
-        if tree is None:
-            continue
-        for contour, parent in zip(contours, np.reshape(tree, (-1, 4))[:, 3].tolist(), strict=True):
+        parents = np.reshape(tree, (-1, 4))[:, 3].tolist() if len(contours) else []
+        for contour, parent in zip(contours, parents, strict=True):
             if len(contour) < _FEWEST_POINTS or cv2.contourArea(contour) < least_full * len(contour) ** 2:
                 continue
             # What is dark lies in a hole of what is bright about it.

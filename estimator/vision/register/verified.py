@@ -135,8 +135,10 @@ class _Seen:
             return best
         beside, cut = uncovered[0].pose, uncovered[1]
         other = self.near().verify_visible(beside, prior_log_odds + COVERED_LOG_ODDS, cut)
-        if best is None or other is None:
-            return best or other
+        return best or other if best is None or other is None else self._better(best, other, start, beside)
+
+    def _better(self, best: Verified, other: Verified, start: PadPose, beside: PadPose) -> Verified:
+        """Return the find of the whole drawing, or that beside a cover, which began from another start."""
         if _is_halved(best):
             return other if other.confidence >= SURE and _inliers(other.found) > _inliers(best.found) + _LESS_HALVED else best
         stayed = self._strays(best.found, start) and other.confidence >= SURE and not self._strays(other.found, beside)

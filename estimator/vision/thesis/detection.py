@@ -121,7 +121,7 @@ def find_disc(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:
     if seg.touches_border:
         return None
     coarse = fit_ellipse(_resampled(seg.hull_px))
-    if coarse is None or coarse.b < _MIN_RADIUS_PX or coarse.b < 0.4 * coarse.a:
+    if coarse is None or coarse.b < max(_MIN_RADIUS_PX, 0.4 * coarse.a):
         return None
     radius_m = pad.markings.field_radius_m
     search = min(0.13 * coarse.b, 20.0) + 1.0

@@ -22,6 +22,7 @@ from estimator.vision.deck import around
 from estimator.vision.deck.above import MOVED_LASTS_S, STANDING_LASTS_S
 from estimator.vision.deck.around import AroundMemory, watch_around
 from estimator.vision.deck.clear_deck import LASTS_S, SurfaceMemory, check_surface
+from estimator.vision.deck.heights import heights_of
 from estimator.vision.deck.memory import DeckMemory
 from estimator.vision.deck.passing import PassMemory, watch_passing
 from estimator.vision.detect.pyramid import FrameView, Pyramid
@@ -225,10 +226,10 @@ def test_what_later_looks_at_its_place_do_not_confirm_fades_unless_many_did_befo
 def test_a_picture_confirms_a_finding_in_its_place_alone_and_not_if_it_is_registered_wrongly(
     apart_m: float, spread: float, times: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    memory, heights = came_down(watch_around, 4.5, 1.5, CRATE), around.heights_of
+    memory = came_down(watch_around, 4.5, 1.5, CRATE)
     assert memory.finding.thing is not None
     thing = replace(memory.finding.thing, forward_m=memory.finding.thing.forward_m + apart_m)
-    monkeypatch.setattr(around, "heights_of", lambda *of: dataclasses.replace(heights(*of), flat=spread))
+    monkeypatch.setattr(around, "heights_of", lambda *of: dataclasses.replace(heights_of(*of), flat=spread))
     memory = dataclasses.replace(memory, finding=dataclasses.replace(memory.finding, thing=thing, shown=3))
     assert came_down(watch_around, 4.5, 1.5, CRATE, memory=memory, readings=range(14, 15)).finding.shown == times
 
