@@ -16,7 +16,7 @@ _APART_S = 0.1  # Time between two samples beyond which their difference says no
 DOWN = Rotation.from_rpy(0.0, -0.5 * math.pi, 0.0)
 """A gimbal that points straight down, in `body`."""
 _GAP_S = 0.25  # Longest time between two reports that are interpolated: MAVLink requests 5 Hz at least
-_SPAN_S = 1.0
+_SPAN_S = 1.0  # Time for which attitudes are kept: a frame is rarely later
 _CURVE = 0.1  # Standard deviation of an interpolated attitude, as a fraction of the angle turned between the two reports
 
 

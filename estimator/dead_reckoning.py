@@ -31,6 +31,11 @@ from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.options import DeadReckoningOptions
 
+_NIS_MAX = 16.27  # Chi-square with 3 degrees of freedom, 99.9 %
+_KNOT_S = 0.004  # Least time between two knots of the integrated motion
+_VERTICAL_HOLD_S = 0.5  # Time for which a vertical velocity is held
+_NOT_MEASURED_VAR = 1e3  # Variance, (m/s)^2, above which a velocity axis counts as not measured
+
 
 class ArrowHeading(Struct, frozen=True):
     """The heading of the arrow against the same north as the vehicle's own attitude."""
@@ -63,11 +68,7 @@ def heading_after(arrow: ArrowHeading | None, heading_rad: float, sighting: Sigh
     return ArrowHeading(seen, float(sighting.cov[3, 3]), sighting.stamp.measured_at, ambiguous)
 
 
-_NIS_MAX = 16.27  # Chi-square with 3 degrees of freedom, 99.9 %
 _NEVER = MonoNs(0)
-_KNOT_S = 0.004
-_VERTICAL_HOLD_S = 0.5
-_NOT_MEASURED_VAR = 1e3  # Variance, (m/s)^2, above which a velocity axis counts as not measured
 
 
 class _Anchor(Struct, frozen=True, eq=False):

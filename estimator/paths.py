@@ -22,6 +22,10 @@ Event = Sample | Sighting
 
 
 _UNUSED_BY_EKF = frozenset({VehicleStatus, GeoFix, GimbalAttitude, VesselWind})
+_SIGMA_V_M_S = 0.5  # Standard deviation of the relative velocity that a held value ignores
+MEDIAN = 3  # Sightings whose median the thesis takes
+MEAN = 3  # Medians whose mean it takes
+_KEPT = MEDIAN + MEAN - 1  # Sightings that both need
 
 
 class Path(Protocol):
@@ -53,10 +57,6 @@ class Path(Protocol):
         """Return the deck at these times, s, after an instant; None if this path does not forecast or tracks no pad."""
         return None
 
-
-MEDIAN = 3
-MEAN = 3
-_KEPT = MEDIAN + MEAN - 1
 
 VARIANCE_RATIO = (1.0, 0.625, 0.475, 0.322, 0.286)
 """Variance of the output over that of one sample, by the number of samples (1, 2, ... 5 and more); for white Gaussian noise."""
@@ -215,9 +215,6 @@ def _heading(entries: tuple[_Entry, ...], believed: float | None) -> tuple[float
     n = len(yaws)
     running = [circular_median(yaws[max(0, i - MEDIAN + 1) : i + 1]) for i in range(max(0, n - MEAN), n)]
     return circular_mean(running), believed is not None
-
-
-_SIGMA_V_M_S = 0.5  # Standard deviation of the relative velocity that a held value ignores
 
 
 class MedianMeanPath(Path):

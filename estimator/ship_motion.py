@@ -24,42 +24,61 @@ from estimator.contracts.time import MonoNs, after
 
 Channel = Literal["heave", "tilt"]
 
-_PERIOD_S, _ALIKE = 0.19, 4.0
-"""Least time between two reports that are fused, and number of them in a row whose errors are alike and count as one."""
+_PERIOD_S = 0.19  # Least time between two reports that are fused
+_ALIKE = 4.0  # Number of them in a row whose errors are alike and count as one
 _SENSORS_MOST = 32  # Sensors that are compared; a ship has a few, and names may be invented
-_RECORD_S, _SILENT_S, _STUCK_S = 60.0, 5.0, 3.0
-"""Time over which a mean is taken off, of silence after which another sensor is used, and of repeated bits of one that moved."""
-_DELAYS_S, _DELAY_MAX_S = np.arange(-0.3, 1.31, 0.05), 0.6
-"""Delays that are compared with the camera, and the longest of a sensor that is used."""
+_RECORD_S = 60.0  # Time over which a mean is taken off
+_SILENT_S = 5.0  # Time of silence after which another sensor is used
+_STUCK_S = 3.0  # Time of repeated bits of one that moved
+_DELAYS_S = np.arange(-0.3, 1.31, 0.05)
+"""Delays that are compared with the camera."""
+_DELAY_MAX_S = 0.6  # The longest of a sensor that is used
 _ALLOWED = _DELAYS_S <= _DELAY_MAX_S + 1e-6
-_DELAY_S, _SIGMA_DELAY_S, _LATE_ODDS = 0.1, 0.2, 4.0
-"""Delay before any comparison, its standard deviation, and the logarithm of the odds from which on a sensor is too late."""
-_SEEN_HZ, _GAP_S, _WINDOW_S, _LEAST_S, _SETTLES_S = 10.0, 1.0, 10.0, 1.5, 2.0
-"""Rate and longest gap of the sightings that are compared, their longest and least time, and that in which an attitude settles
-after the beginning of all: until then the IMU carries a height badly."""
-_MEAN_OF, _SHORT_S = 3, 4.0
-"""Number of sightings whose mean is compared, as a picture's noise is no motion, and time for which an attitude errs evenly."""
-_JUDGES_S, _MEMORY_S, _AGAIN_S = 0.25, 60.0, 20.0
-"""Time between two comparisons, the time over which they fade, and of agreement that forgives."""
+_DELAY_S = 0.1  # Delay before any comparison
+_SIGMA_DELAY_S = 0.2  # Its standard deviation
+_LATE_ODDS = 4.0  # Logarithm of the odds from which on a sensor is too late
+_SEEN_HZ = 10.0  # Rate of the sightings that are compared
+_GAP_S = 1.0  # Their longest gap
+_WINDOW_S = 10.0  # Their longest time
+_LEAST_S = 1.5  # Their least time
+_SETTLES_S = 2.0  # Time in which an attitude settles after the beginning of all: until then the IMU carries a height badly
+_MEAN_OF = 3  # Number of sightings whose mean is compared, as a picture's noise is no motion
+_SHORT_S = 4.0  # Time for which an attitude errs evenly
+_JUDGES_S = 0.25  # Time between two comparisons
+_MEMORY_S = 60.0  # Time over which they fade
+_AGAIN_S = 20.0  # Time of agreement that forgives
 _FALSE = {0.0: ("", 3.0), -1.0: (", and its sign is wrong", 3.0), 2.0: (", and it is double", 8.0)}
 """Multiples of the truth that a false sensor reports, with words and the logarithm of the odds from which on it is believed."""
-_CONFIRMED, _PROVEN_S, _IN_SIGHT_S, _FLOOR = 3.0, 1.0, 2.0, {"heave": 0.04, "tilt": math.radians(0.3)}
-"""Log odds that confirm a sensor, how long they last before it is fused in sight, time of sight, and a size that shows."""
+_CONFIRMED = 3.0  # Log odds that confirm a sensor
+_PROVEN_S = 1.0  # Time for which they last before it is fused in sight
+_IN_SIGHT_S = 2.0  # Time for which a sighting counts as sight
+_FLOOR = {"heave": 0.04, "tilt": math.radians(0.3)}
+"""A size of a motion that shows, m and rad."""
 _ERRORS = {"heave": (0.012, 0.02, 0.012, 0.01), "tilt": tuple(math.radians(one) for one in (0.1, 0.15, 0.25, 0.5))}
 """Standard deviations (m, rad) of a good sensor's white error and of the one that is alike for a while, and the camera's two: the
 latter by the IMU's drift, or by the vehicle's attitude when it leans."""
-_ALIKE_S, _LEANS_S, _OF_SIZE, _SCALE = 3.0, 1.0, 0.03, 0.1
-"""Times for which the latter are alike; the share of the motion in that of the sensor, and the error of its scale."""
-_GOOD, _GOOD_SHARE = {"heave": 0.05, "tilt": math.radians(0.2)}, 0.05
-"""Standard deviation before any comparison; makers of motion sensors state 5 % of the heave."""
-_MEAN_FROM_S, _SLOW_S, _WANDER_M = 20.0, 30.0, 0.15
-"""Time from which a heave's mean is judged and from which its slow part is, and the size of either that a sea may have."""
-_FASTEST, _SLACK = {"heave": 3.0, "tilt": math.radians(60.0)}, {"heave": 0.3, "tilt": math.radians(3.0)}
-"""Rates that no ship reaches, m/s and rad/s, beyond a step, m and rad: the record begins again."""
-_JOLT, _JOLT_M_S2, _JOLT_RAD_S, _JOLTED_S = 1.5, 0.15, 0.02, 0.4
-"""A manoeuvre's change by the largest that is usual, the least of an acceleration and of a rate, and for how long it counts."""
-_JOLT_MEAN_S, _JOLT_NEW_S, _JOLT_USUAL_S, _JOLT_KNOWN_S = 0.3, 0.5, 20.0, 3.0
-"""Times over which a signal's mean goes with it, from which on a change is usual, over which it fades, and until it is known."""
+_ALIKE_S = 3.0  # Time for which a sensor's error is alike
+_LEANS_S = 1.0  # Time for which the camera's is
+_OF_SIZE = 0.03  # Share of the motion in the sensor's error
+_SCALE = 0.1  # Error of its scale
+_GOOD = {"heave": 0.05, "tilt": math.radians(0.2)}
+"""Standard deviation before any comparison, m and rad."""
+_GOOD_SHARE = 0.05  # The same as a share: makers of motion sensors state 5 % of the heave
+_MEAN_FROM_S = 20.0  # Time from which a heave's mean is judged
+_SLOW_S = 30.0  # Time from which its slow part is
+_WANDER_M = 0.15  # Size of either that a sea may have
+_FASTEST = {"heave": 3.0, "tilt": math.radians(60.0)}
+"""Rates that no ship reaches, m/s and rad/s: the record begins again."""
+_SLACK = {"heave": 0.3, "tilt": math.radians(3.0)}
+"""A step beside that, m and rad."""
+_JOLT = 1.5  # A manoeuvre's change by the largest that is usual
+_JOLT_M_S2 = 0.15  # Its least acceleration
+_JOLT_RAD_S = 0.02  # Its least rate
+_JOLTED_S = 0.4  # Time for which it counts
+_JOLT_MEAN_S = 0.3  # Time over which a signal's mean goes with it
+_JOLT_NEW_S = 0.5  # Time from which on a change is usual
+_JOLT_USUAL_S = 20.0  # Time over which it fades
+_JOLT_KNOWN_S = 3.0  # Time until it is known
 
 
 def between(known: F64, values: F64, t: F64) -> F64:

@@ -45,6 +45,7 @@ UNKNOWN_YAW_VAR = math.pi**2 / 3.0
 """rad^2, variance of a heading that could be anything: uniform over the circle."""
 UNSURE = 0.2
 """Confidence from which a sighting is taken for the pad by default; one below is hardly it."""
+_FAR_PX = 1e4  # Largest coordinate of a feature: what lies farther outside of the frame is cut there
 
 
 class Verdict(Enum):
@@ -138,7 +139,6 @@ class Pose6(Struct, frozen=True, eq=False):
 
 
 _DRAWN_BGR = (255, 0, 255)
-_FAR_PX = 1e4
 _AXES = ("forward", "right", "down")
 
 

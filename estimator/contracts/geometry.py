@@ -26,6 +26,10 @@ _THRICE = 3.0 * np.eye(3)
 DOUBLE = np.dtype(np.float64)
 _TWO, _THREE, _NINE = struct.Struct("2d"), struct.Struct("3d"), struct.Struct("9d")
 _new, _set = object.__new__, object.__setattr__
+SEMI_MAJOR_M = 6_378_137.0  # Semi-major axis of the ellipsoid of WGS 84
+FLATTENING = 1.0 / 298.257223563  # Flattening of the ellipsoid of WGS 84
+_E2 = FLATTENING * (2.0 - FLATTENING)  # Square of its first eccentricity
+_MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)  # Its semi-minor axis
 
 
 def wrap_pi(angle_rad: float) -> float:
@@ -309,10 +313,6 @@ class Transform:
         return np.asarray(self.R @ other + self.t)
 
 
-SEMI_MAJOR_M = 6_378_137.0
-FLATTENING = 1.0 / 298.257223563
-_E2 = FLATTENING * (2.0 - FLATTENING)
-_MINOR_M = SEMI_MAJOR_M * (1.0 - FLATTENING)
 _HEIGHT_M = (-1_000.0, 20_000.0)
 
 

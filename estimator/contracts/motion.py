@@ -9,7 +9,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import checked_covariance, checked_vector
 from estimator.contracts.time import MonoNs
 
-G_M_S2 = 9.80665
+G_M_S2 = 9.80665  # Standard gravity
 
 
 class BodyMotion(Struct, frozen=True, eq=False):

@@ -17,6 +17,8 @@ SAMPLE_QUEUE_ITEMS = 4096
 """Samples that wait for the reader of a link unless a setting names another number; the oldest is dropped and counted."""
 UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
+_ROUNDED = 1e-6  # Share of a variance by which rounding may make a covariance indefinite
+_ROUNDED_OF_LARGEST = 1e-9  # The same of the largest variance
 
 
 def checked_vector(name: str, value: F64) -> F64:
@@ -62,10 +64,6 @@ def checked_covariance(name: str, value: F64, n: int, *, estimated: bool = False
     if not estimated and _indefinite(numbers, n):
         raise ValueError(f"{name} must be positive semi-definite: its errors are more alike than they are large, got {value!r}")
     return a
-
-
-_ROUNDED, _ROUNDED_OF_LARGEST = 1e-6, 1e-9
-"""Shares of a variance, and of the largest one, by which rounding may make a covariance indefinite."""
 
 
 def _indefinite(numbers: list[float], n: int) -> bool:

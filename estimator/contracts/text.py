@@ -4,7 +4,7 @@ import codecs
 
 from estimator.contracts.errors import BadInput
 
-_LOOKED_AT = 4096
+_LOOKED_AT = 4096  # Characters of a text that are read: no line that is shown is as long
 
 
 def utf8_of(data: bytes) -> bytes:

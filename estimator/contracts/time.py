@@ -10,7 +10,7 @@ from msgspec import Struct
 MonoNs = NewType("MonoNs", int)
 """An instant of this host's CLOCK_MONOTONIC in nanoseconds; never wall time."""
 
-NS_PER_S = 1_000_000_000
+NS_PER_S = 1_000_000_000  # Nanoseconds of a second
 
 StampSource = Literal["hw", "kernel", "synced", "arrival", "sim"]
 

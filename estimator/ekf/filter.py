@@ -52,6 +52,12 @@ from estimator.ekf.params import (
 
 _SCALARS = ("height", "sigma_height", "rise", "sigma_rise", "roll", "sigma_roll", "pitch", "sigma_pitch")
 _Z = {0.5: 0.6745, 0.68: 0.9945, 0.8: 1.2816, 0.9: 1.6449, 0.95: 1.9600, 0.99: 2.5758}
+_CONSISTENT_NIS = 2.0  # Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance
+_ANSWERS_KEPT = 8
+"""Number of answers that are kept.
+
+Guidance, recorder and links each request the same instant, and vision the one whose sighting comes later.
+"""
 
 
 class Forecast(Struct, frozen=True, eq=False):
@@ -141,15 +147,9 @@ def probability_of_motion(
     return 1.0 / (1.0 + odds)
 
 
-_CONSISTENT_NIS = 2.0  # Recent mean of NIS over degrees of freedom below which the innovations agree with the covariance
 _VERDICTS = {value: Verdict[name.removeprefix("DL_")] for name, value in CORE.names("dl_verdict").items()}
 _EVENTS = CORE.ffi.typeof("dl_event[]")
 _TURN_LIES = "her rate of turn contradicts the camera; flying without it"
-_ANSWERS_KEPT = 8
-"""Number of answers that are kept.
-
-Guidance, recorder and links each request the same instant, and vision the one whose sighting comes later.
-"""
 
 
 class Filter:

@@ -36,7 +36,9 @@ SIGMAS_M = np.array([0.02, 0.055, 0.15, 0.42, 1.15])
 SIGMAS_RAD = np.radians([0.25, 0.7, 2.0, 5.5, 15.0])
 STATIC_PRIOR = 0.5
 """Probability, before the first sighting, that the deck stands still."""
-REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))
+REST_ODDS = math.log(STATIC_PRIOR / (1.0 - STATIC_PRIOR))  # The same as log odds
+LOST_VAR_M2 = 1e4
+"""Variance of the pad's relative position before the first sighting, per axis."""
 
 
 def _grid() -> tuple[F64, F64, F64, F64]:
@@ -151,10 +153,6 @@ TURN_RATE = abi.DL_TURN_RATE
 
 NOT_MEASURED_VAR = 0.1 * UNKNOWN_VAR
 """Variance of a component of a sample from which it was not measured."""
-
-
-LOST_VAR_M2 = 1e4
-"""Variance of the pad's relative position before the first sighting, per axis."""
 
 
 class FilterParams:

@@ -40,14 +40,32 @@ from estimator.core.library import CORE
 from estimator.integrity.options import IntegrityOptions
 
 _PICTURE_S = 0.5  # Age of the newest fused picture up to which it decides
-_SIGMAS, _LEAST_M = 5.0, 0.06
-"""Distance from the estimate beyond which a baseline contradicts it: of its own standard deviation, and beside that."""
-_MISSES = 2
-_BELIEVED_S, _BELIEVED_ALONE_S = 1.0, 10.0
-"""Time for which baselines have to agree with the estimate until they are believed again, with a picture and without."""
+_SIGMAS = 5.0  # Own standard deviations from the estimate beyond which a baseline contradicts it
+_LEAST_M = 0.06  # Distance beside that
+_MISSES = 2  # Contradictions in a row after which baselines are not believed
+_BELIEVED_S = 1.0  # Time for which baselines have to agree with the estimate until they are believed again, with a picture
+_BELIEVED_ALONE_S = 10.0  # The same without one
 _CHECKS_M = 0.06  # Standard deviation of the innovation up to which a wrong wavelength, 0.19 m, shows in it
 _FLOAT_M = 0.1  # Standard deviation of a baseline from which on it is too coarse to be judged
 _PROVEN = 10  # Number of baselines in agreement with pictures after which a leap is theirs
+_FRESH_S = 0.3  # Age of a sighting up to which it is compared with a height
+_NEAREST_M = 0.35  # Smallest height for the comparison: an ultrasonic sensor measures nothing nearer than 0.2 m
+_UPRIGHT = 0.85  # Least cosine of the tilt at which a range is compared
+_EDGE_M = 0.1  # Distance from the deck's edge within which a range may be of either
+_FASTEST = 3.0  # A difference of several times what is allowed counts this many times as fast
+_CLEAR = 0.35  # Radius around the pad, as a part of the height, without anything above the deck: the vehicle descends there
+_PAUSE_S = 0.3  # Longest time between two ranges that counts
+_SPAN_S = 12.0  # Time over which barometer and camera are compared: a swell of 12 s has brought a deck to where it is now
+_BACK_S = 6.0  # The newest time that is not compared: a deck that rises for so long is no deck on waves
+_SHORT_S = 4.0
+"""The least of the compared time that shows a wave's crest and trough; of a shorter one twice the difference is allowed."""
+_AGREES_S = 2.0  # Time for which an agreement counts
+_BARO_LAG = 0.1  # Weight of a new difference in the mean: a barometer's noise is half a metre
+_GAP_S = 0.1  # Time without an accepted gyro sample after which nothing says how the body turned, s
+_CHANGED_RAD = math.radians(1.0)  # Least change of a correction that is kept
+_CHANGES = 8  # Number of changes that are kept
+_APART = 0.25
+"""Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
 
 
 class BaselineWatch(Struct, frozen=True):
@@ -107,21 +125,6 @@ def baseline_compared(state: BaselineWatch, result: FusionResult, sigma_m: float
     if state.contradicts and agreed_s < (_BELIEVED_S if state.sees else _BELIEVED_ALONE_S):
         return state
     return replace(state, misses=0, missed_at=None)
-
-
-_FRESH_S = 0.3
-_NEAREST_M = 0.35  # Smallest height for the comparison: an ultrasonic sensor measures nothing nearer than 0.2 m
-_UPRIGHT = 0.85
-_EDGE_M = 0.1
-_FASTEST = 3.0  # A difference of several times what is allowed counts this many times as fast
-_CLEAR = 0.35  # Radius around the pad, as a part of the height, without anything above the deck: the vehicle descends there
-_PAUSE_S = 0.3  # Longest time between two ranges that counts
-_SPAN_S = 12.0  # Time over which barometer and camera are compared: a swell of 12 s has brought a deck to where it is now
-_BACK_S = 6.0  # The newest time that is not compared: a deck that rises for so long is no deck on waves
-_SHORT_S = 4.0
-"""The least of the compared time that shows a wave's crest and trough; of a shorter one twice the difference is allowed."""
-_AGREES_S = 2.0
-_BARO_LAG = 0.1  # Weight of a new difference in the mean: a barometer's noise is half a metre
 
 
 class HeightWatch(Struct, frozen=True):
@@ -218,13 +221,6 @@ def _farthest(value: float, course: tuple[tuple[int, float], ...]) -> float:
         return 0.0
     values = [each for _, each in course]
     return max(abs(value - min(values)), abs(value - max(values)))
-
-
-_GAP_S = 0.1  # Time without an accepted gyro sample after which nothing says how the body turned, s
-_CHANGED_RAD, _CHANGES = math.radians(1.0), 8
-"""Least change of a correction that is kept, and the number of changes that are."""
-_APART = 0.25
-"""Share of the slip with which a report beyond the tolerance is followed: it is not the gyro's bias that took it there."""
 
 
 class HeadingWatch(Struct, frozen=True):

@@ -18,62 +18,71 @@ from estimator.integrity import parity
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.parity import Bin, Half, Parity, Slope, Steady, TurnByAttitude, Vec3
 
-_PERSISTS, _PERSISTS_ALONE = 3, 12
-"""Number of bins in a row that accuse, before a sensor is named; of a sole witness, which stands on the moving deck."""
-_WELL = 20
-_AXIS, _ALL_ALIVE = 2.0, 0b111111
-"""Factor on the time limit for one axis alone, which repeats itself more often than three."""
+_PERSISTS = 3  # Number of bins in a row that accuse, before a sensor is named
+_PERSISTS_ALONE = 12  # The same of a sole witness, which stands on the moving deck
+_WELL = 20  # Bins in a row in which a sensor agrees again before it counts: two seconds
+_AXIS = 2.0  # Factor on the time limit for one axis alone, which repeats itself more often than three
+_ALL_ALIVE = 0b111111  # Bits of the axes of gyro and accelerometer, none of which repeats itself
 _SHOWN_RAD_S = math.radians(2.0)
 """Difference up to which the attitude's turn confirms an axis of the gyro: its own noise between two messages."""
 _STILL_AIR_M_S2 = 0.2
 """Specific force across the thrust up to which an axis of coarse steps may repeat itself: what little speed drags by."""
-_IMUS = 127
-_GYRO_RAD_S, _GYRO_YAW_RAD_S = math.radians(3.0), math.radians(4.0)
+_IMUS = 127  # Samples of the IMU that are kept
+_GYRO_RAD_S = math.radians(3.0)
 """Least steady difference of gyro and attitude: more than any gyro's bias, and than attitudes err by within the window."""
-_GYRO_WELL_RAD_S = math.radians(2.5)
+_GYRO_YAW_RAD_S = math.radians(4.0)  # The same about the down axis
+_GYRO_WELL_RAD_S = math.radians(2.5)  # Difference below which the gyro agrees again
 _GYRO_WINDOWS = ((10, 1.4), (14, 1.2), (20, 1.0))
 """Number of bins, and by how much the least difference grows where the window is short."""
-_STEADY = 0.8
-_REVERSED_BINS = 4
-_SWING_BINS = 6
-_SWINGS_RAD_S, _SHOWS_RAD_S = math.radians(8.0), math.radians(3.0)
+_STEADY = 0.8  # Share of a window's bins whose difference has its sense
+_REVERSED_BINS = 4  # Bins in which a reversed axis is looked for
+_SWING_BINS = 6  # Bins in which swings are compared
+_SWINGS_RAD_S = math.radians(8.0)
 """Difference of gyro and attitude about one axis, a root mean square, that is larger than noise.
 
-It is 3.4 deg/s in roll and pitch, 6.6 in yaw at most in clean flights. And a turn in roll and pitch that shows whether they agree
-again.
+It is 3.4 deg/s in roll and pitch, 6.6 in yaw at most in clean flights.
 """
-_SWINGS_SHARE, _AGREES_SHARE = 0.15, 0.3
-_DECIDED = 0.2
+_SHOWS_RAD_S = math.radians(3.0)  # Turn in roll and pitch that shows whether they agree again
+_SWINGS_SHARE = 0.15  # Least of that difference, of the sum of both turns
+_AGREES_SHARE = 0.3  # Share below which they agree again
+_DECIDED = 0.2  # Distance from one half of the share by which pictures take a side
 _STILL_RIGHT_S = 10.0
 """Time after the last sight for which the velocity stays right that sightings took the side of: the attitude errs as long."""
-_PICTURES_OLD_S, _PICTURES_LATE = 0.5, 3
-"""Age of the newest picture beyond which there are none, s, and number of bins by which pictures are late."""
+_PICTURES_OLD_S = 0.5  # Age of the newest picture beyond which there are none
+_PICTURES_LATE = 3  # Number of bins by which pictures are late
 _TURNED_RAD_S = math.radians(8.0)  # Least turn, a root mean square, at which a wrong sense is detected
-_SHOWN_LEAST_RAD_S, _UNIT_TIMES, _ALIKE = math.radians(1.0), 15.0, 0.85
-"""Least turn that shows a unit or an axis, a root mean square; how many times as much is another unit; and least correlation."""
-_THRUST_MIN_M_S2, _SIDE_MAX_M_S2 = 2.0, 8.0
-"""Limits of a multirotor's specific force in the air: least thrust along its own vertical axis, most across it.
+_SHOWN_LEAST_RAD_S = math.radians(1.0)  # Least turn that shows a unit or an axis, a root mean square
+_UNIT_TIMES = 15.0  # Times as much that is another unit
+_ALIKE = 0.85  # Least correlation with another axis or unit
+_THRUST_MIN_M_S2 = 2.0  # Least thrust of a multirotor in the air along its own vertical axis
+_SIDE_MAX_M_S2 = 8.0
+"""Largest specific force of it across that axis.
 
 That is the air's drag: 5.7 m/s^2 where a tilt of 30 degrees holds against the wind, and its gusts.
 """
-_PERSISTS_GROSS = 2
+_PERSISTS_GROSS = 2  # Bins in a row that name a sensor whose error is gross
 _FALLS = ((10, 5.0), (20, 3.0))
 """Number of bins over which the attitude has the body accelerate downward so much, m/s^2, while its whole thrust is felt.
 
 No pilot leans by 50 degrees for a second, or by 45 for two: it would fall at 5 or 6 m/s.
 """
-_FELT_LEAST, _FELT_MOST = 0.85 * G_M_S2, 1.5 * G_M_S2
-_ACCEL_M_S2, _ACCEL_ALONE_M_S2, _ACCEL_SIDE_M_S2 = 1.5, 2.4, 1.8
-"""Least difference of the accelerometer: a filter takes less for its bias. A deck in a high sea accelerates by 2 m/s^2."""
-_USUAL_MIN = 15
+_FELT_LEAST = 0.85 * G_M_S2  # Least specific force of a body whose whole thrust is felt
+_FELT_MOST = 1.5 * G_M_S2  # Most of it
+_ACCEL_M_S2 = 1.5
+"""Least difference of the accelerometer downward: a filter takes less for its bias."""
+_ACCEL_ALONE_M_S2 = 2.4  # The same by sightings alone: a deck in a high sea accelerates by 2 m/s^2
+_ACCEL_SIDE_M_S2 = 1.8  # The same aside
+_USUAL_MIN = 15  # Bins from which a usual difference is known
 _BIN_SHARE = 0.01  # Weight of one bin in the long-run mean: it takes ten seconds to change
-_SIGMAS = 5.0
-_GROUND_SIGMA_M_S2, _VELOCITY_SIGMA_M_S2 = 0.25, 0.2
-"""Errors that the residuals of a window do not show: a barometer in gusts, a velocity that lags."""
+_SIGMAS = 5.0  # Standard deviations beyond which a difference is none of noise
+_GROUND_SIGMA_M_S2 = 0.25  # Error of a barometer in gusts, which the residuals of a window do not show
+_VELOCITY_SIGMA_M_S2 = 0.2  # Error of a velocity that lags, which they do not show either
 _INFLATED = 2.0  # Residuals of neighbouring bins are alike
-_SHARE = 0.4
-_PLACE_S, _VELOCITY_S = 2.0, 1.2
-_PLACES, _VELOCITIES = 14, 8
+_SHARE = 0.4  # Share of a difference with which another witness sides
+_PLACE_S = 2.0  # Window in which places show an acceleration
+_VELOCITY_S = 1.2  # Window in which velocities do
+_PLACES = 14  # Fewest places in it
+_VELOCITIES = 8  # Fewest velocities in it
 
 
 class LyingHalf(Struct, frozen=True):

@@ -31,9 +31,35 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Imu
 
 _LONGEST = 3.0  # Factor on the time limit for a sensor of coarse steps that repeated itself in flight
-_MOST_S = 1.0
+_MOST_S = 1.0  # Longest time limit of a sensor
 _TURN_S = 0.02  # Least time between the two attitudes whose difference is a rate
 _OLD_S = 0.1  # Age of an attitude from which it says nothing of the present turn
+_BIN_S = 0.1  # Length of a bin
+_GAP_S = 0.3  # Longest time between two samples of a bin
+_SAMPLES_MIN = 3  # Fewest samples of a bin
+_KEPT = 25  # Number of bins that are kept: the longest window, and the time by which a sighting is late
+_UNMEASURED_VAR = 1e3  # Variance above which a component was not measured
+_SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)  # Trace of a rotation by a radian
+_PICTURES = 4  # Fewest pictures that show a turn
+_SHOWN = 0.6  # Least share of the turn that has to show in them
+_SHOWN_RAD = math.radians(0.8)  # Least difference, a root mean square, that images resolve: at 7 m they err by half a degree
+_WINDOW_NS = 2_000_000_000  # Window in which velocity and integral are compared
+_POINTS = 8  # Fewest points in it
+_LEAP_M_S = 0.8  # Step of the velocity that is a leap
+_APART_M_S = 0.6  # Difference of velocity and integral that is a lie, a root mean square
+_SHARE = 0.25  # Largest share of the integral's swing that the velocity has then
+_SWINGS_M_S = 0.25  # Least swing that shows it
+_FAR_APART_M_S = 0.9
+"""Difference that is wrong whatever the share: of a velocity that comes half a second late the share is of the right sign."""
+_AGAINST_M_S = 0.45  # Difference where the velocity swings against the integral
+_AGAINST_SHARE = -0.4  # Largest share of the swing then
+_AGAINST_SWINGS_M_S = 0.2  # Least swing then
+_WELL_M_S = 0.35  # Difference below which the velocity agrees again
+_WELL_SHARE = 0.5  # Share of the swing above which it does
+_STEADY_M_S2 = 1.2  # Largest difference that is no lie: an attitude that errs by 6 degrees makes it
+_STEADY_WEIGHT = 0.02  # Weight of a bin in its mean, of 5 s
+_SEEN_M = 0.08  # Least way against the pad that shows something, a root mean square
+_SEEN_SHARE = 0.4  # Share of it from which the velocity is right
 
 
 class Half(Struct, frozen=True):
@@ -115,15 +141,6 @@ def replace_halves(imu: Imu, gyro_lost_s: float, accel_lost_s: float, turn: Turn
         w = rate
     return replace(imu, w_body=w, gyro_lost_s=gyro_lost_s, accel_lost_s=accel_lost_s)
 
-
-_BIN_S = 0.1
-_GAP_S = 0.3
-_SAMPLES_MIN = 3
-_KEPT = 25  # Number of bins that are kept: the longest window, and the time by which a sighting is late
-_UNMEASURED_VAR = 1e3
-_SMALL_TURN_TRACE = 1.0 + 2.0 * math.cos(1.0)  # Trace of a rotation by a radian
-_PICTURES, _SHOWN = 4, 0.6
-_SHOWN_RAD = math.radians(0.8)  # Least difference, a root mean square, that images resolve: at 7 m they err by half a degree
 
 Vec3 = tuple[float, float, float]
 Point = tuple[int, Vec3]
@@ -396,22 +413,6 @@ def _flow(event: BodyVelocity, within: Bin, level: Attitude) -> Point:
     if max(cov[:2]) > _UNMEASURED_VAR:
         x = y = math.nan
     return t, ((c * x - s * y) / n - vx, (s * x + c * y) / n - vy, (math.nan if cov[2] > _UNMEASURED_VAR else z) - vz)
-
-
-_WINDOW_NS = 2_000_000_000
-_POINTS = 8
-_LEAP_M_S = 0.8
-_APART_M_S, _SHARE, _SWINGS_M_S = 0.6, 0.25, 0.25
-"""Difference, a root mean square; largest share of the integral's swing that the velocity has; and least swing that shows it."""
-_FAR_APART_M_S = 0.9
-"""Difference that is wrong whatever the share: of a velocity that comes half a second late the share is of the right sign."""
-_AGAINST_M_S, _AGAINST_SHARE, _AGAINST_SWINGS_M_S = 0.45, -0.4, 0.2
-"""Limits where the velocity swings against the integral."""
-_WELL_M_S, _WELL_SHARE = 0.35, 0.5
-_STEADY_M_S2, _STEADY_WEIGHT = 1.2, 0.02
-"""Largest difference that is no lie, m/s^2: an attitude that errs by 6 degrees makes it; and the weight of a bin, 5 s of them."""
-_SEEN_M, _SEEN_SHARE = 0.08, 0.4
-"""Least way against the pad, a root mean square, that shows something, and the share of it from which the velocity is right."""
 
 
 class Steady(NamedTuple):

@@ -30,6 +30,14 @@ Reading = Imu | Attitude | BodyVelocity | Range | Baro | VesselReport
 
 _STEP_OVER_S = 0.1  # Longest time over which a step's limit grows. Without this bound, any spike would pass after a long pause.
 _UNMEASURED_VAR = 1e3  # Variance above which a velocity component was not measured
+_EVERY = 16  # Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms
+_KEPT = 16  # Number of frames whose digest is kept: more than the buffer ring of a capture driver holds
+_FROZEN_RUN = 3  # Repeated frames in a row that show a frozen camera
+_CONFIRMED_BY = 5  # Stamps of another clock that confirm it
+_CONFIRMED_IN_NS = 200_000_000  # Least time that they span
+_MEDIAN_STEP_S = 0.002  # Step by which a running median follows
+_FIRST_FEW = 8  # Samples in which it follows faster
+_STANDS_NS = 100_000_000  # Time of arrival over which the stamps of a quick stream have not gone on, after which its clock stands
 
 
 class Repeat(Struct, frozen=True):
@@ -136,11 +144,6 @@ def _step(event: Reading, numbers: tuple[float, ...], before: Plausible, o: Inte
     return step > o.height_step_m + o.height_rate_max_m_s * dt
 
 
-_EVERY = 16  # Distance of the rows that are compared: 23 of 360, 44 kB, 0.04 ms
-_KEPT = 16  # Number of frames whose digest is kept: more than the buffer ring of a capture driver holds
-_FROZEN_RUN = 3
-
-
 class FrameWatch(NamedTuple):
     """Digests of the newest distinct frames, and the number of repeats since."""
 
@@ -168,13 +171,6 @@ def watch_frame(state: FrameWatch, px: NDArray[np.uint8], at: int = 0) -> tuple[
     if this in state.digests:
         return FrameWatch(state.digests, state.run + 1, at), True
     return FrameWatch((*state.digests, this)[-_KEPT:], 0, at), False
-
-
-_CONFIRMED_BY = 5
-_CONFIRMED_IN_NS = 200_000_000
-_MEDIAN_STEP_S = 0.002
-_FIRST_FEW = 8
-_STANDS_NS = 100_000_000  # Time of arrival over which the stamps of a quick stream have not gone on, after which its clock stands
 
 
 class _Rival(NamedTuple):

@@ -31,11 +31,13 @@ from estimator.contracts.samples import Attitude
 from estimator.integrity.options import IntegrityOptions
 
 _BESIDE_S = 0.1  # Largest age of a sighting whose neighbourhood may explain the next one
-_SPEED_M_S, _ACCELERATION_M_S2 = 1.0, 6.0
-"""Allowed difference of two sightings of one pad per second between them, for the vehicle's velocity and tilt over the deck."""
-_BELIEF_SIGMAS, _BELIEF_MAX_M, _BELIEF_DOWN_MAX_M = 3.0, 0.4, 1.5
-"""Limits on the distance that an uncertain belief may explain, sideways and in height. Height has a check of its own."""
-_SEEN_SIGMAS, _SEEN_MAX_M = 4.0, 0.3
+_SPEED_M_S = 1.0  # Allowed difference of two sightings of one pad per second between them, for the velocity over the deck
+_ACCELERATION_M_S2 = 6.0  # The same for the tilt
+_BELIEF_SIGMAS = 3.0  # Standard deviations of an uncertain belief that explain a distance
+_BELIEF_MAX_M = 0.4  # The most of it that they explain sideways
+_BELIEF_DOWN_MAX_M = 1.5  # The most in height, which has a check of its own
+_SEEN_SIGMAS = 4.0  # Standard deviations of a sighting that explain a distance
+_SEEN_MAX_M = 0.3  # The most of it that they explain
 _TURN_RAD_S = 1.0  # Rate of turn that a vehicle exceeds only when its own hover begins, in a strong wind
 _SUDDEN_S = 0.5
 """Time since the tracked pad was last seen within which no estimate has drifted off: a picture that shows it elsewhere leapt."""
@@ -43,19 +45,31 @@ _SURELY = 0.9  # Share of the distance to another pad that is left for the error
 _FARTHER = 2.0
 """Factor by which the estimate would have drifted farther if what came back were another pad than the only one ever seen."""
 _CLEAR_SLOPE = 0.35  # Distance about the tracked pad over the height that a frame may show clear of a second one
-_SWING_RAD_S, _SWING_RAD = 4.0, 0.35
-"""Largest rate and angle of the body's turns while its own hover begins."""
+_SWING_RAD_S = 4.0  # Largest rate of the body's turns while its own hover begins
+_SWING_RAD = 0.35  # Largest angle of them
 _ALONE_S = 0.2  # Time for which a look at one pad alone serves those after it
 _DISC = np.array([(x, y) for x in np.linspace(-1, 1, 21) for y in np.linspace(-1, 1, 21) if math.hypot(x, y) < 1.05])
 """Places, (N, 2), on a disc of radius 1."""
-_ALIVE_S, _LOOKS = 1.0, 3.0
-"""Time for which a candidate counts that is not seen again: at least, and as a multiple of the time between two sightings."""
+_ALIVE_S = 1.0  # Time for which a candidate counts that is not seen again, at least
+_LOOKS = 3.0  # The same as a multiple of the time between two sightings
 _LATE = 0.3  # Weight of the newest time between two sightings in their mean
-_MOST = 4
-_SEEN_AT_LEAST = 3
-_ESTABLISHED = 8
+_MOST = 4  # Candidates that are kept
+_SEEN_AT_LEAST = 3  # Sightings from which a candidate counts
+_ESTABLISHED = 8  # Sightings from which a track is not left for another pad
 _CHOSEN = 30
 """Number of sightings up to which a track may go on at another place that is seen more often: which pad came first was chance."""
+_PSD = 4.0  # Density of the unknown acceleration of pad and vehicle, (m/s^2)^2/Hz: 2 m/s^2 that last for half a second
+_SPEED_VAR = 4.0  # Variance of the velocity at the start, (m/s)^2
+_FLOOR_M = 0.05  # Least standard deviation that no covariance contains: mount, level and frame delay
+_FLOOR_FRACTION = 0.03  # The same by distance
+_FLOOR_M_S = 0.4  # The same of the velocity
+_SIGMAS = 5.0  # Standard deviations within which a sighting follows the last ones
+_PAUSE_S = 0.5  # Time without a sighting after which the arbiter begins again
+_FRESH_S = 0.3  # Age of the last sighting up to which it says where the pad is
+_MISSES = 5  # Sightings in a row elsewhere after which the arbiter begins again
+_FOLLOWED = 15  # Sightings from which the pad is followed
+_APART_S = 0.5  # Time for which belief and pad are apart before one of them is wrong
+_RESTART_S = 2.0  # Time after which the belief starts again
 
 
 class Place(NamedTuple):
@@ -335,20 +349,6 @@ def _as_expected(expected: Place, seen: Place, o: IntegrityOptions) -> bool:
 def _apart(a: Place, b: Place) -> tuple[float, float]:
     """Return the distance of two positions sideways and down, m."""
     return math.dist(a.d[:2], b.d[:2]), abs(a.d[2] - b.d[2])
-
-
-_PSD = 4.0  # Density of the unknown acceleration of pad and vehicle, (m/s^2)^2/Hz: 2 m/s^2 that last for half a second
-_SPEED_VAR = 4.0  # Variance of the velocity at the start, (m/s)^2
-_FLOOR_M, _FLOOR_FRACTION = 0.05, 0.03
-"""Floor of the standard deviation that no covariance contains, m, and by distance: mount, level and frame delay."""
-_FLOOR_M_S = 0.4
-_SIGMAS = 5.0
-_PAUSE_S = 0.5  # Time without a sighting after which the arbiter begins again
-_FRESH_S = 0.3
-_MISSES = 5
-_FOLLOWED = 15
-_APART_S = 0.5
-_RESTART_S = 2.0
 
 
 class FollowedAxis(NamedTuple):

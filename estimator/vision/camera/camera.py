@@ -13,7 +13,14 @@ import numpy as np
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation, Transform
 
-_LONGEST = 80
+_LONGEST = 80  # Characters of a value in an error
+_LARGEST_PX = 16_384  # Largest width and height of an image; a square image of that size is the largest that fits in memory
+_DISTORTION_MAX = 1e3  # Largest distortion coefficient
+_MOUNT_MAX_M = 100.0  # Largest distance of a camera from the body's origin along an axis
+_MOUNT_VAR_MAX_DEG2 = 30.0**2  # Largest variance of its mounting
+_READOUT_MAX_S = 0.1  # Longest readout of a rolling shutter
+_FOCAL_SIGMA_MAX = 0.2  # Largest standard deviation of the focal length, as a fraction of it
+_WIDEST_RAD = 1.5  # Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle
 
 
 def finite(value: object) -> float | None:
@@ -40,14 +47,7 @@ LensModel = Literal["brown", "fisheye"]
 _OPTIONAL = {"lens", "distortion", "p_body_cam_m", "mount_cov_deg2", "readout_s", "focal_sigma"}
 _KEYS = {"width", "height", "fx", "fy", "cx", "cy", "rpy_body_cam_deg"} | _OPTIONAL
 _DOWN = "; [0.0, 0.0, 90.0] looks straight down, the picture's top to the nose"
-_LARGEST_PX = 16_384  # Largest width and height of an image; a square image of that size is the largest that fits in memory
 _FOCAL_PX = 1.0, 1e6
-_DISTORTION_MAX = 1e3
-_MOUNT_MAX_M = 100.0
-_MOUNT_VAR_MAX_DEG2 = 30.0**2
-_READOUT_MAX_S = 0.1
-_FOCAL_SIGMA_MAX = 0.2
-_WIDEST_RAD = 1.5  # Largest angle from the axis that a fisheye's pixels look in: the image plane ends at a right angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from estimator.contracts.geometry import F64
 _DOWN_RPY_DEG = [0.0, 0.0, 90.0]
 _MISFIT_MAX_PX = 0.5
 """The largest error anywhere in the frame of our model beside the file's; corners are seen to a tenth of a pixel."""
-_GRID = 25
+_GRID = 25  # Points along a side at which a lens is compared with ours
 _BROWN = {"plumb_bob", "radtan", "opencv", "none", ""}
 _FISHEYE = {"equidistant", "fisheye", "kannala_brandt"}
 _SIZE = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))

@@ -21,6 +21,12 @@ from estimator.contracts.samples import Attitude, Frame
 from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerOptions
 
+_MIN_DOWN = 0.2  # Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical
+SIGMA_LEVEL_ASSUMED_RAD = math.radians(5.0)
+"""Standard deviation of roll and pitch of a vehicle without a measured attitude: what a multicopter reaches against a breeze. It
+costs 9 cm per metre of height.
+"""
+
 
 class PadPose(Struct, frozen=True, eq=False):
     """The pose of the pad in `cam`: `p_cam = R_cam_pad @ p_pad + t_cam_pad`.
@@ -62,15 +68,10 @@ class PadPose(Struct, frozen=True, eq=False):
         return PadPose(self.R_cam_pad @ Rotation.from_rpy(0.0, 0.0, yaw_rad), self.t_cam_pad)
 
 
-SIGMA_LEVEL_ASSUMED_RAD = math.radians(5.0)
-"""Standard deviation of roll and pitch of a vehicle without a measured attitude: what a multicopter reaches against a breeze. It
-costs 9 cm per metre of height.
-"""
 SIGMA_DECK_RAD = TrackerOptions().deck_tilt_sigma_rad
 """Standard deviation of roll and pitch of a deck that is assumed level: a supply vessel's in a slight sea (data: waves/FACTS.md
 gives 1..4 degrees).
 """
-_MIN_DOWN = 0.2  # Cosine of the flattest ray that is intersected with the deck: 78 degrees off the vertical
 
 
 class Orientation(Struct, frozen=True, eq=False):

@@ -36,8 +36,10 @@ from estimator.vision.detect.template import FRESH, PaintMemory
 from estimator.vision.detect.verification import ALONE_LOG_ODDS, alone, confidence, log_odds
 from estimator.vision.native import count_work
 
-SURE, ENOUGH = 0.9, 0.5
-"""Confidence at which no further hypotheses are tried, and confidence at which no further kinds of hypotheses are tried."""
+SURE = 0.9
+"""Confidence at which no further hypotheses are tried."""
+ENOUGH = 0.5
+"""Confidence at which no further kinds of hypotheses are tried."""
 _CLOSE_PX = 2.0  # Largest error of the farthest edge in view at which registration may start from fiducials directly
 _MOST_ALIGNED = 24  # Largest number of hypotheses of one frame that the drawing is aligned at before the search is given up
 _ALIGNED = 3  # Number of the best hypotheses of one kind that the drawing is aligned at

@@ -39,10 +39,8 @@ COVERED_LOG_ODDS = -1.0
 rest fits best.
 """
 _TURNS = 6  # Headings in half a turn that a covered pad may have; alignment reaches half of the way to the next
-_LEAST_GAIN, _MOST_LEFT = 0.7, 0.6
-"""Least gain of a cover, and the largest share of the light's variation beside it that the drawing may leave. At the true poses
-of 90 half-covered pads at 5 to 15 m the gain was 1.0 and more, and 0.56 was left at most.
-"""
+_LEAST_GAIN = 0.7  # Least gain of a cover: at the true poses of 90 half-covered pads at 5 to 15 m it was 1.0 and more
+_MOST_LEFT = 0.6  # Largest share of the light's variation beside it that the drawing leaves: there 0.56 was left at most
 
 
 class ArrowPlace(NamedTuple):

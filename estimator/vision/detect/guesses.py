@@ -39,10 +39,8 @@ _MOST_AREAS = 16
 MOST = 20
 """Largest number of guesses from the circles of one kind."""
 _SAME_SHADE = 12.0  # Difference in luminance between two paints below which either may be the brighter
-_BY_SUPPORT, _BY_FILLED = 0.3, 0.1
-"""Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence. The outline of an area
-is one more often, whatever the area is.
-"""
+_BY_SUPPORT = 0.3  # Weight of a circle's support beside the drawing's score: from afar the drawing alone is weak evidence
+_BY_FILLED = 0.1  # The same of an area's outline, which is a circle more often, whatever the area is
 
 _HEADING_PX = 28.0  # Smallest radius of the disc in the frame that a heading is searched in
 

@@ -69,9 +69,18 @@ of 112 pads up to 3 m in any light 103 had more, and of 120 frames without a pad
 _FULL_SIZE, _REDUCED, _LEAST_SIZE = Radii(4.5, 1.22, 5), Radii(5.0, 1.2, 7), Radii(8.5, 1.2, 10)
 """Radii searched at full size, at half and a quarter of it, and at an eighth."""
 _BEYOND = 0.4  # Margin beyond the edge of the smallest image in which centres are searched, in its widths
-_WORK_GREEN, _WORK_FULL_SIZE, _WORK_STROKES, _WORK_SMALL_GREEN = 2.9, 4.4, 1.9, 4.7
-WORK_COARSE, _WORK_LARGER = 2.2, 2.1
-_WORK_LETTERING, _WORK_OUTLINES, _WORK_MORE_OF_HALF = 3.7, 3.2, 1.0
+_WORK_GREEN = 2.9  # Work, in floors, of circles of the disc's colour at reduced sizes (see `Kind.work`)
+_WORK_SMALL_GREEN = 4.7  # The same at full size
+_WORK_FULL_SIZE = 4.4  # Of circles in luminance at full size
+_WORK_LARGER = 2.1  # Of those at reduced sizes beside the coarse ones
+WORK_COARSE = 2.2
+"""Work of circles at the smallest sizes, which come first."""
+_WORK_STROKES = 1.9  # Of the H's strokes
+_WORK_LETTERING = 3.7  # Of components that may be lettering
+_WORK_OUTLINES = 3.2  # Of outlines of areas
+_WORK_MORE_OF_HALF = 1.0  # Of more circles at half size
+
+
 _LUMINANCE_WORK, _COLOUR_WORK = 1, 9
 """Work of a pixel in luminance and in the disc's colour, millionths of a floor."""
 FULL_PIXELS = 640 * 360

@@ -31,28 +31,30 @@ _WINDOW_PX, _EDGE_WINDOW_PX = 41, 7
 """Sides of the neighbourhood that a pixel is compared with; the second where a circle's edge is looked for: a ring that is seen
 aslant is narrow, and its sheet and what is about that lie near."""
 _STANDS_OUT = 7.0  # Least difference from the neighbourhood's mean, 8-bit
-_LEAST_AREA_PX, _FEWEST_POINTS = 60.0, 30
-_FILLED, _EXACT, _FULL = 0.3, 0.08, 0.03
-"""Largest difference of the logarithm of a component's share of its hull from the drawing's; largest of that and of its spread
-of what may be a circle aslant, and its least area over the square of its contour's points: of an ellipse .045 and more."""
+_LEAST_AREA_PX = 60.0  # Least area of a component
+_FEWEST_POINTS = 30  # Fewest points of its contour
+_FILLED = 0.3  # Largest difference of the logarithm of a component's share of its hull from the drawing's
+_EXACT = 0.08  # Largest of that and of its spread together, of what may be a circle aslant
+_FULL = 0.03  # Least area of that over the square of its contour's points: of an ellipse .045 and more
 _OUTLINE_WORK = 50  # Work of a pixel for a frame's circles aslant, millionths of a floor
 _TRIED = 8  # Largest number of components whose heading is searched
-_HEADINGS, _ASIDE = 16, 0.05
-"""Headings that are tried for a component beside the pad's centre, and how far beside it is, in radii of the pad."""
-_RASTER, _SILHOUETTES = 401, 3
-"""Points along a side by which a drawing's outlines are found, and the most outlines that are looked for."""
-_SPREAD, _LEAST_WITHIN = 0.35, 0.02
-"""Largest difference of the logarithm of a component's spread from the drawing's; least area of what lies within
-the largest outline, as a share of it.
+_HEADINGS = 16  # Headings that are tried for a component beside the pad's centre
+_ASIDE = 0.05  # Least distance of one that is beside it, in radii of the pad
+_RASTER = 401  # Points along a side by which a drawing's outlines are found
+_SILHOUETTES = 3  # The most outlines that are looked for
+_SPREAD = 0.35  # Largest difference of the logarithm of a component's spread from the drawing's
+_LEAST_WITHIN = 0.02
+"""Least area of what lies within the largest outline, as a share of it.
 
 A pad that is cut by the frame's edge has no whole outline there, but often a whole thing in it.
 """
-_SMALL_PART, _LEAST_IN_VIEW = 0.25, 0.35
-"""Area of an outline, as a share of the largest, below which this share of the pad has to be in view: another's disc is as round
-as the dot in a triangle."""
-_AS_WIDE, _LEAST_SHORT, _LEAST_SHORT_CIRCLE, _LEAST_TILT, _CIRCLE = 0.85, 0.55, 0.26, 0.2, 0.081
-"""Ratio of second moments from which a shape is as wide in all directions; least foreshortening, and that of a circle, which less
-resembles; least sine of a tilt that is tried beside none, where the tilt is not known; spread below which a shape is a circle."""
+_SMALL_PART = 0.25  # Area of an outline, as a share of the largest, below which more of the pad has to be in view
+_LEAST_IN_VIEW = 0.35  # Share of the pad that has to be then: another's disc is as round as the dot in a triangle
+_AS_WIDE = 0.85  # Ratio of second moments from which a shape is as wide in all directions
+_LEAST_SHORT = 0.55  # Least foreshortening of a component
+_LEAST_SHORT_CIRCLE = 0.26  # The same of a circle, which less resembles
+_LEAST_TILT = 0.2  # Least sine of a tilt that is tried beside none, where the tilt is not known
+_CIRCLE = 0.081  # Spread below which a shape is a circle
 Contour = NDArray[np.int32]
 
 

@@ -23,8 +23,8 @@ from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.template import disc_edge_m
 from estimator.vision.pad.pad import Pad
 
-_REACH_PX, _STEP_PX = 4.0, 1.5
-"""Largest and smallest shifts at which the drawing is compared with the expected place; alignment starts within a pixel."""
+_REACH_PX = 4.0  # Largest shift at which the drawing is compared with the expected place
+_STEP_PX = 1.5  # Step of the shifts: alignment starts within a pixel
 _SIDES = 4  # Directions of the half that is taken for the one in view
 _OUTLINE = 3  # Points of a half's outline, which give the direction
 _MOST_TURNED_RAD = 0.5  # Largest heading of a guess relative to the expected one, modulo half a turn

@@ -44,8 +44,21 @@ _ARROW_PITCH_M, _ARROW_MARGIN_M = 0.008, 0.02
 _LEAST_SPAN = 0.04
 """Least difference of two paints in a channel, in square roots of light, that a third is placed between; as in the core."""
 
-H, ORANGE, DISC, AROUND = 0, 1, 2, 3
-"""Order of the paints in maps and tables: the H, ring and arrowhead, the disc, the surroundings."""
+H = 0
+"""Index of the H in maps and tables."""
+ORANGE = 1
+"""Index of ring and arrowhead."""
+DISC = 2
+"""Index of the disc."""
+AROUND = 3
+"""Index of the surroundings."""
+LEARNED_AT = 0.9
+"""Confidence that a frame needs to update the memory."""
+FADING = 0.08
+"""Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
+TRUSTED = 0.10
+"""Trust above which the memory is used: three confident frames."""
+_BROAD = 1.0  # Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way
 
 
 def disc_edge_m(pad: Pad) -> float:
@@ -205,15 +218,6 @@ def _h_over_disc(pad: Pad) -> F64:
 
 def _blurred(coverage: F32, sigma_m: float) -> F32:
     return np.asarray(cv2.GaussianBlur(coverage, (0, 0), sigma_m / STEP_M, borderType=cv2.BORDER_REPLICATE), np.float32)
-
-
-LEARNED_AT = 0.9
-"""Confidence that a frame needs to update the memory."""
-FADING = 0.08
-"""Fraction of the trust lost with each frame without the pad: full trust is lost in 28 frames."""
-TRUSTED = 0.10
-"""Trust above which the memory is used: three confident frames."""
-_BROAD = 1.0  # Variance, in natural logarithms squared, of a paint that nothing is known about: a factor e either way
 
 
 class PaintMemory(Struct, frozen=True, eq=False):

@@ -42,6 +42,8 @@ _LEAST_SEEN = 0.03  # Least share of the pad in view that can be compared
 _FINE_M = 0.006  # Distance between the samples that the drawing is blurred at
 _BARE = 0.2  # Linear light that a deck without paint is taken for
 _TONE = 2.2  # Exponent of the tone curve of frames, by which the drawing's light is converted
+WORTH_ASKING = 0.1
+"""Confidence of the verification below which the second opinion is not used: no pad is seen there anyway."""
 
 
 class Patch(Struct, frozen=True, eq=False):
@@ -147,8 +149,6 @@ def _drawn(pad: Pad, blur: int) -> U8:
     return drawn
 
 
-WORTH_ASKING = 0.1
-"""Confidence of the verification below which the second opinion is not used: no pad is seen there anyway."""
 _CURE = "name one with the inputs of the shipped one, or none for the shipped one"
 
 

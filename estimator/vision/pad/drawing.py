@@ -17,7 +17,7 @@ from estimator.vision.pad.pad import Pad
 from estimator.vision.pad.shapes import Lettering, PaintedPanel, PaintedTriangle
 from estimator.vision.srgb import LUMA, linear_light
 
-_SPACING_M = 0.004
+_SPACING_M = 0.004  # Distance between points on an edge
 _FIDUCIAL_STEP = 1.0 / 6.0  # Distance between points on the edges of a fiducial, in its cells
 
 

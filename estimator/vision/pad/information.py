@@ -14,8 +14,10 @@ from estimator.vision.pad.geometry import covers, reach_of
 from estimator.vision.pad.pad import Pad
 from estimator.vision.srgb import LUMA, linear_light
 
-NOISE, BLUR_PX = 0.01, 0.8
-"""Assumed noise of a pixel's linear light, full scale 1, and standard deviation of the point spread."""
+NOISE = 0.01
+"""Assumed noise of a pixel's linear light, full scale 1."""
+BLUR_PX = 0.8
+"""Assumed standard deviation of the point spread."""
 _FINE, _FINE_TO_PX = 3, 100.0
 """Points along a pixel's side, and the radius in the frame beyond which one is enough."""
 _ALIKE = 0.02  # Share of the painted ground that may differ between two headings that a camera cannot distinguish

@@ -16,8 +16,8 @@ from estimator.vision.pad.pad import Pad
 from estimator.vision.pad.shapes import Region
 from estimator.vision.srgb import linear_light
 
-_STRIPS = 6
-_FAR_M = 1e6
+_STRIPS = 6  # Strips of an arrowhead: few leave steps far finer than the blur
+_FAR_M = 1e6  # A distance that no part of a pad has
 _H_FIGURE, _POINTER_FIGURE, _PANEL_FIGURE, _UPPER_FIGURE = range(4)
 
 

@@ -54,10 +54,13 @@ _FINE = 8  # Samples along a cell's side of the drawing whose blur is looked up
 _BLUR_STEPS = 4.0  # Steps of the blur that drawings are kept for, by doubling
 _PIXEL_PX = 0.3  # Standard deviation of a pixel's own square, px
 _LEAST_SPAN = 12.0  # Least difference of light and dark cells in the frame, 8-bit, that is read
-_READ, _MISREAD = 0.65, 0.35
-"""Agreement from which the cells do not count against the pose, and at which they refute it. It is 0.82 or more at right poses
-of uncovered pads, half of that if half of them is covered, at most 0.4 a quarter turn off, and about 0 at a random place.
+_READ = 0.65
+"""Agreement from which the cells do not count against the pose.
+
+It is 0.82 or more at right poses of uncovered pads, half of that if half of them is covered, at most 0.4 a quarter turn off, and
+about 0 at a random place.
 """
+_MISREAD = 0.35  # Agreement at which they refute it
 _ENOUGH, _ENOUGH_SHARE = 5.0, 0.25
 """Number of clear cells, and their share of those in view, from which they count in full."""
 _EDGES_AGREE, _EDGES_OFF = 0.8, 0.55

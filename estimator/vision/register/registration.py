@@ -27,7 +27,7 @@ from estimator.vision.native import checked, edge_points, native_prior, tracker_
 from estimator.vision.pad.drawing import EdgeKind
 from estimator.vision.pad.pad import Pad
 
-_SNR_SEEN = 5.0
+_SNR_SEEN = 5.0  # Contrast over its standard deviation above which a kind of edge shows
 _LIKENESS_SEEN = 0.4
 """Limit on the likeness: with the white balance off by 20 % and light of 3000 K, white against green and orange against green
 stay above 0.8.

@@ -19,16 +19,20 @@ from estimator.vision.camera.pose import Orientation
 from estimator.vision.detect.pyramid import U8, FrameView
 from estimator.vision.register.registration import Registration, RegistrationOptions, look
 
-STEP, _LOWEST, _HIGHEST = 0.1, -10, 4
-"""A step of the tone, and the range in steps: from values that are linear light to a gamma of 2.7."""
-_UNEXPLAINED_PX, _FAR_OFF_PX, _STRIDE = 0.03, 0.12, 3
-"""Displacement of edges from which something is learnt, and from which by so many steps at once: of right tones it is 0.02 and
-less, of one step beside 0.04, of two 0.07."""
+STEP = 0.1
+"""A step of the tone."""
+_LOWEST = -10  # Steps to values that are linear light
+_HIGHEST = 4  # Steps to a gamma of 2.7
+_UNEXPLAINED_PX = 0.03
+"""Displacement of edges from which something is learnt: of right tones 0.02 and less, one step beside 0.04, two 0.07."""
+_FAR_OFF_PX = 0.12  # Displacement from which it is learnt by several steps at once
+_STRIDE = 3  # Number of these steps
 _LESS = 0.97  # Factor on what is left over contrast below which a step is kept
-_EVERY_NS, _RESTS_NS = 300_000_000, 3_000_000_000
-"""Time between two trials, and after neither side was better."""
-_AGREES, _CLIPPED, _CLIPPED_SHARE = 0.8, 253, 0.01
-"""Least share of the edges that agree; value from which light is clipped, and the share of the pad's box that may be."""
+_EVERY_NS = 300_000_000  # Time between two trials
+_RESTS_NS = 3_000_000_000  # Time after neither side was better
+_AGREES = 0.8  # Least share of the edges that agree
+_CLIPPED = 253  # Value from which light is clipped
+_CLIPPED_SHARE = 0.01  # Largest share of the pad's box that may be
 
 _AT_ONCE = MonoNs(0)
 

@@ -29,10 +29,12 @@ _CERTAIN = 0.9  # Confidence from which it is not tried whether something covers
 _RINGLESS_LOG_ODDS = -4.0
 """Prior where the ring does not show beside what covers the pad: an H on something green, whose lack of a ring the line hides."""
 _WORTH_TURNING = 1e-4  # Confidence from which the heading of a registration matters: its place may be the pad's then
-_DECIDED, _UNDECIDED_LOG_ODDS = 4.0, -12.0
-"""Standard deviations from which the comparison decides a heading, and the log-odds of a pose whose heading is undecided. On
-rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
+_DECIDED = 4.0
+"""Standard deviations from which the comparison decides a heading.
+
+On rendered frames from 0.5 to 20 m, in plain light, haze, grey and half covered, none was wrong by more than 3.0.
 """
+_UNDECIDED_LOG_ODDS = -12.0  # Log-odds of a pose whose heading is undecided
 _STEPS = 4  # Steps of the alignment with what is not covered
 _STRAYS, _STRAYS_PX = 0.03, 0.3
 """Changes from its start at which a registration has strayed.

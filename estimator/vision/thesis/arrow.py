@@ -13,7 +13,7 @@ from estimator.vision.thesis.cue import Cue
 from estimator.vision.thesis.right_angles import RightAngle, refine
 from estimator.vision.thesis.segmentation import F32, U8, Segmentation
 
-_SIGMA_CENTROID_PX = 0.03
+_SIGMA_CENTROID_PX = 0.03  # Error of the centroid that more pixels do not lessen
 _SIGMA_CENTROID = 0.0015
 """Error of the centroid from worn paint and edges of shadows, as a fraction of the H's length; it does not fall with more
 pixels.
@@ -22,11 +22,11 @@ _SIGMA_TIP_PX = 0.06
 """Remaining error of the tip. Blur moves a corner along its bisector; the fit of the arms avoids the blurred part except for
 this.
 """
-_TIP_CANDIDATES = 6
+_TIP_CANDIDATES = 6  # Orange pixels that are tried for the tip
 _MIN_REACH_PX = 3.2  # Arms shorter than this are only blur: the tip comes out up to 2 % of the arrow's length too far
-_SECTORS = 24
+_SECTORS = 24  # Directions about the centre of which each gives one
 _MIN_PAINT = 0.25  # Smallest coverage that counts as orange, as a fraction of the brightest orange: in deep shadow
-_MAX_REACH_PX = 24.0
+_MAX_REACH_PX = 24.0  # Longest arms that a tip is fitted to
 
 
 def find_arrow(seg: Segmentation, view: OrientedCamera, pad: Pad) -> Cue | None:

@@ -12,7 +12,7 @@ from estimator.vision.detect.pyramid import U8
 _MIN_BLOB_PX = 25.0  # Smallest disc that is considered: a radius of about 3 px, as the sim camera sees the pad from 48 m
 _CLOSE = np.ones((5, 5), np.uint8)
 _SEEDS = 0.02  # Fraction of a blob that must lie within the strict green limits; around such seeds the paler range counts too
-_BLOBS = 6
+_BLOBS = 6  # Blobs that are looked at
 
 
 class Masks(Struct, frozen=True, eq=False):

@@ -23,8 +23,8 @@ from estimator.vision.thesis.segmentation import F32, U8, Segmentation
 
 Side = Literal["long", "short"]
 
-_MIN_STROKE_PX = 4.5
-_SIGMA_CORNER_PX = 0.06
+_MIN_STROKE_PX = 4.5  # Least width of the strokes: of narrower ones the corners run together
+_SIGMA_CORNER_PX = 0.06  # Error of a corner that its fit does not show
 _SIGMA_CORNER = 0.004  # Error of a corner as a fraction of a stroke's width: a shadow's edge across it
 _ALONG = math.cos(math.radians(10.0))
 """Smallest cosine between an arm and the line between its two corners, for any perspective; the diagonal is 18 degrees off the

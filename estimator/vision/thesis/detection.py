@@ -28,8 +28,8 @@ from estimator.vision.thesis.corners import find_corners
 from estimator.vision.thesis.cue import Cue
 from estimator.vision.thesis.segmentation import ColourSet, Segmentation, segment
 
-_POINTS = 120
-_MIN_RADIUS_PX = 3.0
+_POINTS = 120  # Points of the outline that are measured
+_MIN_RADIUS_PX = 3.0  # Least semi-axis of an ellipse that is taken for the disc
 _SIGMA_EDGE_PX = 0.06  # Error that all edge points may have in common (blur, tone curve, paint), so that it does not average out
 _BLUR_PX2 = 0.8  # Half-way points of a curved, blurred edge are displaced by about the blur's variance over the radius
 _CORRELATED = 4.0  # Number of neighbouring edge points that count as one, because they share pixels and so errors

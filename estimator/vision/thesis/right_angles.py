@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from estimator.contracts.geometry import F64
 from estimator.vision.thesis.segmentation import F32, U8
 
-_RADII = 7
+_RADII = 7  # Circles about a corner
 _MIN_RADIUS_PX = 1.6  # Smallest radius of a circle, px; closer in, blur rounds the corner
 
 

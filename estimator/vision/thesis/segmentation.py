@@ -24,7 +24,7 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 Triple = tuple[int, int, int]
 
-_MOST_COMPONENTS = 6
+_MOST_COMPONENTS = 6  # White components that are looked at
 _FAINT_PX = 24  # Widest disc that may consist only of mixed pixels
 _FAINT_SATURATION = 30  # Saturation below which grey is taken for faint paint
 _PLAIN = 0.7  # Plausibility above which the strict limits suffice

@@ -1,4 +1,4 @@
-"""Where the filter expects the pad in a frame, and which places it excludes."""
+"""The place at which the filter expects the pad in a frame, and the places that it excludes."""
 
 from __future__ import annotations
 

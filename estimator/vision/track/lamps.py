@@ -27,7 +27,7 @@ from estimator.vision.track.config import TrackerConfig as TrackerConfig
 from estimator.vision.track.expected import EXPECTED_SIGMAS, expected, sigma_of
 from estimator.vision.track.memory import TrackerMemory as TrackerMemory
 
-_FOUND = 1
+_FOUND = 1  # Count of pads that the core returns where it finds the lamps
 REACH_PX = 40.0
 """Largest reach about the expected position in which lamps are assigned to spots; beyond it the frame is searched for them."""
 

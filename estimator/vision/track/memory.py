@@ -1,4 +1,4 @@
-"""What vision keeps of a frame and from frame to frame: the inputs, the best registrations, the memory."""
+"""The inputs of a frame, its best registrations, and the memory of vision from frame to frame."""
 
 from __future__ import annotations
 
