@@ -20,7 +20,7 @@ from companion.base import signals
 from companion.base.observer import ProcessedFrame
 from companion.cli.options import WorkProgress, named_wait, option, print_result, reading, tell_damage
 from companion.cli.outputs import RECORDING, Kind, output
-from companion.parts.recorder.recorder import digest_file, recordings
+from companion.parts.recorder.folder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite

@@ -255,7 +255,7 @@ def _ardrone(
     if not settings.bridge.links:
         return VehicleParts(open_link)
     from companion.parts.mavlink.bridge import BridgePart
-    from companion.parts.mavlink.commands import tunables
+    from companion.parts.mavlink.parameters import tunables
     from companion.parts.mavlink.signed_links import signed_links
 
     flight = FlightWatch(pilot, clock)

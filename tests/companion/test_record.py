@@ -17,7 +17,7 @@ from companion.base.observer import Decision
 from companion.cli import main as cli
 from companion.cli.record import Storage, storage, upload
 from companion.facts.records import TruthRecord
-from companion.parts.recorder.recorder import Folder, digest_file
+from companion.parts.recorder.folder import Folder, digest_file
 from companion.recording import rewriting
 from companion.recording.mcap_file import About
 from companion.recording.reading import MAGIC, RecordedFrame, open_recording

@@ -28,7 +28,8 @@ from companion.base.health import Health
 from companion.base.observer import Decision, ProcessedFrame
 from companion.cli import main as cli
 from companion.facts.records import TruthRecord
-from companion.parts.recorder.recorder import Folder, Recorder, RecorderState, SingleFile, recordings, start_of
+from companion.parts.recorder.folder import Folder, SingleFile, recordings, start_of
+from companion.parts.recorder.recorder import Recorder, RecorderState
 from companion.recording import channels, mcap_file
 from companion.recording.channels import TOPICS
 from companion.recording.frame_encoder import KEY_EACH, RECORDED, FrameEncoder, FrameSequence, is_key_frame

@@ -41,10 +41,17 @@ from estimator.vision.pad.pad import Pad
 
 Encoded = tuple[str, int, bytes]
 """Topic, time on the viewer's axis in ns, and the message as JSON."""
-_EVENTS, _FRAMES = 1024, 2
-"""Events and frames that may wait for the thread: some two seconds of them, and 1.4 MB."""
+_EVENTS = 1024  # events that may wait for the thread: some two seconds of them
+_FRAMES = 2  # frames that may wait for it: 1.4 MB
 _NEVER_LIVE = frozenset({channels.TRUTH, channels.TRUE_POSE, channels.LINK})
 """Topics of the simulator and of links, which are recorded otherwise."""
+_WAITING_BYTES = 4 << 20
+"""Most bytes that wait for a slow viewer; the oldest are dropped."""
+_REQUESTS_EACH_S = 100  # requests of a viewer that are answered in a second
+_REFUSALS_MAX = 20
+"""Requests that are refused before the connection is closed."""
+_ALIVE_S = 4.0
+"""Interval of pings to a viewer, s; half of it without an answer ends the connection."""
 
 
 def topics(settings: HttpSettings) -> tuple[str, ...]:
@@ -156,13 +163,6 @@ class LiveFeed(NullObserver):
         return out
 
 
-_WAITING_BYTES = 4 << 20
-"""Most bytes that wait for a slow viewer; the oldest are dropped."""
-_REQUESTS_EACH_S = 100
-_REFUSALS_MAX = 20
-"""Requests that are refused before the connection is closed."""
-
-
 class LiveViewer:
     """One viewer that is connected: what it requested, and what is sent to it without ever waiting for it."""
 
@@ -264,10 +264,6 @@ class LiveViewer:
             return f"{topic} is subscribed already"
         self._subscriptions[number] = topic
         return None
-
-
-_ALIVE_S = 4.0
-"""Interval of pings to a viewer, s; half of it without an answer ends the connection."""
 
 
 class FoxgloveEndpoint:

@@ -18,21 +18,11 @@ import numpy as np
 from companion.base.observer import NullObserver
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera
-from companion.parts.mavlink.commands import (
-    ACCEPTED,
-    CAPABILITIES,
-    DENIED,
-    PARAMETER_REQUESTS,
-    UNSUPPORTED,
-    Offered,
-    ParameterServer,
-    Refusals,
-    Tunables,
-    link_counters,
-)
+from companion.parts.mavlink.commands import ACCEPTED, CAPABILITIES, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
 from companion.parts.mavlink.component import MavSeverity, StatusTexts
 from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
+from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables
 from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import AccessLevel, NamedSenders
 from drivers.mavlink.dialect import ComponentMetadata, Message, mav, ms_since_boot
@@ -47,7 +37,8 @@ _LANDED_STATES = {"landed": 1, "taking_off": 3, "landing": 4}
 _GAP_S = 0.2
 """The longest gap between two velocities that the position is integrated over, s."""
 _HOLDS = frozenset({int(mav.MAV_CMD_NAV_LOITER_UNLIM), int(mav.MAV_CMD_DO_PAUSE_CONTINUE), int(mav.MAV_CMD_OVERRIDE_GOTO)})
-_NO_BATTERY = -1
+_NO_BATTERY = -1  # charge that is not known
+_TICK_S = 0.02  # interval at which messages that are due are sent
 
 
 class VehicleBridge(NullObserver):
@@ -242,9 +233,6 @@ class VehicleBridge(NullObserver):
     def _version(self, now: MonoNs) -> Message:
         capabilities = int(mav.MAV_PROTOCOL_CAPABILITY_MAVLINK2) if self._parameters is None else CAPABILITIES
         return mav.MAVLink_autopilot_version_message(capabilities, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
-
-
-_TICK_S = 0.02
 
 
 class BridgePart(NullObserver):

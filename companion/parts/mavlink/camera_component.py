@@ -28,8 +28,8 @@ from estimator.vision.camera.camera import Camera
 
 COMPONENT = int(mav.MAV_COMP_ID_CAMERA)
 _NAME = "Decklander"
-_STREAM = 1
-_TICK_S = 0.1
+_STREAM = 1  # number of the one stream
+_TICK_S = 0.1  # interval at which messages that are due are sent
 _H264 = 1
 """VIDEO_STREAM_ENCODING_H264."""
 _BY_NAME = {

@@ -30,20 +30,11 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSource
 from companion.base.service_log import ReportedOnce
 from companion.base.version import version
 from companion.guidance.targets import LED
-from companion.parts.mavlink.commands import (
-    CAPABILITIES,
-    COMMANDS,
-    PARAMETER_REQUESTS,
-    CommandServer,
-    Offered,
-    Operator,
-    ParameterServer,
-    Refusals,
-    Tunables,
-)
+from companion.parts.mavlink.commands import CAPABILITIES, COMMANDS, CommandServer, Offered, Operator, Refusals
 from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.parts.mavlink.outputs import AutopilotView, Outputs
+from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, ComponentMetadata, Message, mav, ms_since_boot
@@ -53,11 +44,34 @@ from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
-_UNKNOWN_8, _UNKNOWN_16, _UNKNOWN_32 = 255, 32767, 0xFFFFFFFF
-_NO_TEMPERATURE = 127
+_UNKNOWN_8 = 255  # value of a byte of ONBOARD_COMPUTER_STATUS that is not known
+_UNKNOWN_16 = 32767  # value of two bytes of it that is not known
+_UNKNOWN_32 = 0xFFFFFFFF  # value of four bytes of it that is not known
+_NO_TEMPERATURE = 127  # temperature that is not known
 _LONGEST = 1 << 20
 """The most characters that are read from one file."""
 T = TypeVar("T")
+_REPEAT_S = 60.0
+"""The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
+_CHUNK = 50  # bytes of a text in one STATUSTEXT
+_SENT_MAX = 64  # texts whose time is kept
+BURST = 5
+"""The texts that may be sent at once."""
+WAITING = 10
+"""The texts that may wait."""
+_SAME_S = 10.0
+"""The time within which the same text is not sent again."""
+_CHARGE_S = 30.0
+"""Time between two texts of how a charge ends, s."""
+_TICK_S = 0.02  # period of ticks
+_FINE_TICK_S = 0.01  # period of ticks where something is due between them
+_HEARTBEAT_S = 1.0  # period of HEARTBEAT
+_STATE_S = 0.2  # period in which each NAMED_VALUE_FLOAT is sent once
+_COMPUTER_S = 1.0  # period of ONBOARD_COMPUTER_STATUS
+_BELIEF_S = 0.035
+"""Age up to which the track of the target needs no newer belief, s: at 2 m/s^2 it is interpolated to a third of a millimetre."""
+_GUIDANCE_SILENCE_S = 1.0
+"""The time without a decision after which guidance counts as stalled."""
 
 
 class Computer(Struct, frozen=True):
@@ -171,15 +185,7 @@ log = logging.getLogger(__name__)
 
 TYPE_ONBOARD, NO_AUTOPILOT = int(mav.MAV_TYPE_ONBOARD_CONTROLLER), int(mav.MAV_AUTOPILOT_INVALID)
 _OURS = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
-_REPEAT_S = 60.0
-"""The shortest time between two texts about the same part, which may fail and recover many times a minute, s."""
 _REQUESTS = frozenset((*COMMANDS, *PARAMETER_REQUESTS, FILE_REQUEST))
-_CHUNK = 50
-_SAID_MAX = 64
-BURST, WAITING = 5, 10
-"""The texts that may be sent at once, and those that may wait."""
-_SAME_S = 10.0
-"""The time within which the same text is not sent again."""
 
 
 class MavSeverity(IntEnum):
@@ -209,7 +215,7 @@ class StatusTexts:
         last = self._said.get(text)
         if last is not None and seconds_between(last, now) < _SAME_S:
             return
-        if len(self._said) >= _SAID_MAX:
+        if len(self._said) >= _SENT_MAX:
             self._said.clear()
         self._said = {t: at for t, at in self._said.items() if seconds_between(at, now) < _SAME_S} | {text: now}
         self._waiting.append((severity, text))
@@ -243,8 +249,6 @@ class StatusTexts:
         return [mav.MAVLink_statustext_message(int(severity), piece, self._id, n) for n, piece in enumerate(pieces)]
 
 
-_CHARGE_S = 30.0
-"""Time between two texts of how a charge ends, s."""
 _SEVERITIES = {
     state.value: severity
     for state, severity in {
@@ -267,12 +271,6 @@ _SEVERITIES = {
 PARAMETERS = ("PLND_LAG", "PLND_ENABLED", "PLND_TYPE", "MPC_ACC_HOR", "MPC_JERK_AUTO", *(f"RNGFND{n}_TYPE" for n in range(1, 5)))
 """The parameters that are requested from the autopilot (see `open_autopilot`)."""
 _LED = frozenset(state.value for state in LED)
-_TICK_S, _FINE_TICK_S, _HEARTBEAT_S, _STATE_S, _COMPUTER_S = 0.02, 0.01, 1.0, 0.2, 1.0
-"""The periods of ticks, of those where something is due between them, HEARTBEAT, NAMED_VALUE_FLOAT, ONBOARD_COMPUTER_STATUS."""
-_BELIEF_S = 0.035
-"""Age up to which the track of the target needs no newer belief, s: at 2 m/s^2 it is interpolated to a third of a millimetre."""
-_GUIDANCE_SILENCE_S = 1.0
-"""The time without a decision after which guidance counts as stalled."""
 
 
 class Component(NullObserver):

@@ -27,11 +27,15 @@ PERIOD_S = 0.1
 """The shortest time between two packets: at most 2.8 kB/s, half of what a telemetry radio of 57600 baud carries."""
 _HEADER = struct.Struct("<HBBBBBBI")
 """Sequence number, session, opcode, size, opcode of the request, end of a burst, padding, offset."""
-DATA_MAX, BURST = 239, 8
-"""The bytes of a packet, and the packets of a burst: a client that sends nothing for 3.7 s gives up (pymavlink's)."""
-WAITING_EACH, _SENDERS_MAX = 6, 8
-"""The requests of one sender that may wait, and the senders whose sessions are kept."""
-_ACK, _NAK = 128, 129
+DATA_MAX = 239
+"""The bytes of a packet."""
+BURST = 8
+"""The packets of a burst: a client that sends nothing for 3.7 s gives up (pymavlink's)."""
+WAITING_EACH = 6
+"""The requests of one sender that may wait."""
+_SENDERS_MAX = 8  # senders whose sessions are kept
+_ACK = 128  # opcode of an answer
+_NAK = 129  # opcode of a refusal
 
 
 class Opcode(IntEnum):

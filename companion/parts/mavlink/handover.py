@@ -25,16 +25,20 @@ from drivers.mavlink.vehicle import HOLD_MODE, RETURN_MODE, Stack
 from estimator.contracts.time import MonoNs, seconds_between
 
 MISSION, RETURN = "at the mission's end", "from the return over the pad"
-_RATE_HZ = 2.0
+_RATE_HZ = 2.0  # rate at which MISSION_CURRENT is requested
 _MISSION_MODES, _RETURNS = ("auto", "auto.mission"), tuple(RETURN_MODE.values())
-_ACTIVE, _COMPLETE = 3, 5
-"""MISSION_STATE_ACTIVE and MISSION_STATE_COMPLETE."""
+_ACTIVE = 3  # MISSION_STATE_ACTIVE
+_COMPLETE = 5
+"""MISSION_STATE_COMPLETE."""
 _LAST_S = 3.0
 """Time in which PX4 leaves the mission's mode by itself, and the largest gap between HEARTBEATs, s: in a longer one a mode may
 have been chosen unseen."""
-SETTLED_S, _STILL_M_S, _CLIMB_M_S, _SIGHT_S, _LOW_M = 2.0, 1.0, 0.5, 0.5, 2.0
-"""Time for which it must be over the pad and slow, s; the speeds over the ground, m/s; the age of sight, s; and the height over
-the pad below which a return is left to land, m."""
+SETTLED_S = 2.0
+"""Time for which it must be over the pad and slow."""
+_STILL_M_S = 1.0  # speed over the ground up to which it is slow
+_CLIMB_M_S = 0.5  # rate of climb up to which it is slow
+_SIGHT_S = 0.5  # age of sight up to which it is over the pad
+_LOW_M = 2.0  # height over the pad below which a return is left to land
 
 
 class Journey(Struct):

@@ -18,10 +18,11 @@ from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.camera_component import ShowCamera, showing
-from companion.parts.mavlink.commands import PilotTower, link_counters, tunables
+from companion.parts.mavlink.commands import PilotTower, link_counters
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.handover import Handover
 from companion.parts.mavlink.outputs import Lead, Outputs
+from companion.parts.mavlink.parameters import tunables
 from companion.parts.mavlink.rc_switch import RcSwitch
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.guidance import GuidanceOptions
@@ -57,17 +58,25 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 # zero while the pad is out of sight.
 
 MEAN_S = 2.0
+"""Time over which the horizontal velocity is averaged."""
 HEAVE_S = 0.15
+"""Time over which the vertical velocity is averaged."""
 FORGET_S = 20.0
 """The time after which a pad that comes back into sight counts as another pad, s."""
 KEEP_S = 300.0
 """The time without sight for which a ship that reports nothing is taken to keep her way, s."""
-_FRESH_S = 0.3
-_SIGMA_MAX_M_S = 0.6
-_MOST_M_S = 15.0
-_CARRIED_S, _SAME_WAY_M_S = 10.0, 0.6
-"""Time since the take-off from which the way since then counts, s, and its largest difference from the deck's velocity: waves and
-an operator some metres beside the pad make it."""
+_FRESH_S = 0.3  # age up to which an estimate counts
+_SIGMA_MAX_M_S = 0.6  # standard deviation of its velocity up to which it counts
+_MOST_M_S = 15.0  # speed that is given to the autopilot at most
+_CARRIED_S = 10.0  # time since the take-off from which the way since then counts
+_SAME_WAY_M_S = 0.6  # its largest difference from the deck's velocity: waves and an operator some metres beside the pad make it
+
+_EACH_S = 1.0  # interval at which the links are examined
+_WINDOW_S = 8.0  # time over which their counters are compared
+_FIRST_S = 6.0
+"""Time for which is listened before anything is judged: a link and its first requests need some seconds."""
+_AGAIN_S = 60.0
+"""The shortest time between two log lines about the same."""
 
 
 class Moving(Protocol):
@@ -314,12 +323,6 @@ _log = logging.getLogger(__name__)
 
 PART = "MAVLink links"
 """The watch's own name in health: it is down while something is wrong, and the flight does not need it."""
-_EACH_S = 1.0
-_WINDOW_S = 8.0
-_FIRST_S = 6.0
-"""Time for which is listened before anything is judged: a link and its first requests need some seconds."""
-_AGAIN_S = 60.0
-"""The shortest time between two log lines about the same."""
 _COUNTED = tuple(name for name in LinkSnapshot.__struct_fields__ if name not in ("url", "down", "signed", "behind_s"))
 
 

@@ -15,8 +15,8 @@ from typing import Any
 from msgspec import NODEFAULT, inspect
 
 from companion.base.version import version
-from companion.parts.mavlink.commands import NAMES
 from companion.parts.mavlink.file_server import crc32
+from companion.parts.mavlink.parameters import NAMES
 from companion.settings.model import EXPERT, Settings
 from companion.settings.schema import unit_of, walk
 from drivers.mavlink.dialect import ComponentMetadata, Message, ms_since_boot

@@ -31,8 +31,29 @@ LOOP_RATE_HZ = 400.0
 """The rate of ArduCopter's main loop, which is the rate of its inertial ring, Hz."""
 _SPAN_S = 1.0
 """The length of the history; it must exceed PLND_LAG."""
-_AHEAD_S, _GAP_S = 0.15, 0.25
-"""The longest time that the newest belief is extrapolated by its velocity, and the longest gap that is interpolated."""
+_AHEAD_S = 0.15  # the longest time that the newest belief is extrapolated by its velocity
+_GAP_S = 0.25  # the longest gap that is interpolated
+TARGET_OBS_BODY_FRD = 1
+"""TARGET_OBS_FRAME_BODY_FRD of the development dialect."""
+_LEAST_DEPTH_M = 0.02  # depth from which on a direction has angles
+MIN_RANGE_CM = 5
+"""Shortest range of the rangefinder that is reported."""
+MAX_RANGE_CM = 5000
+"""Longest range of it."""
+PX4_LATE_S = 0.06
+"""Lag of PX4 behind a steady ship beyond that of its law, s."""
+_WAY_S = 20.0
+"""Time over which the ship's way is averaged, s."""
+_CHANGE_S = 0.5
+"""Time over which the velocity's change is taken for the acceleration, s."""
+_BLIND_BELOW_M = 1.0
+"""Height below which the camera may lose the pad, so that the target is carried on for longer, m."""
+DEFAULT_PLND_LAG_S = 0.02
+"""Default PLND_LAG of ArduPilot."""
+PLND_LAG_MAX_S = 0.25
+"""Largest PLND_LAG."""
+_MAVLINK_RANGEFINDER = 10.0
+"""The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
 
 
 def effective_lag_s(plnd_lag_s: float) -> float:
@@ -174,11 +195,8 @@ def lag_locked(track: TargetTrack, now: MonoNs, plnd_lag_s: float, transit_s: fl
 
 BODY_FRD, LOCAL_NED = int(mav.MAV_FRAME_BODY_FRD), int(mav.MAV_FRAME_LOCAL_NED)
 VISION_OTHER = int(mav.LANDING_TARGET_TYPE_VISION_OTHER)
-TARGET_OBS_BODY_FRD = 1
-"""TARGET_OBS_FRAME_BODY_FRD of the development dialect."""
 _NO_ROTATION_KNOWN = (0.0, 0.0, 0.0, 0.0)
 """A quaternion that is no rotation: receivers that read it treat it as absent."""
-_LEAST_DEPTH_M = 0.02
 
 
 def angles_of(d_body: F64) -> tuple[float, float] | None:
@@ -258,9 +276,6 @@ def target_relative(
     )
 
 
-MIN_RANGE_CM, MAX_RANGE_CM = 5, 5000
-
-
 def distance_sensor(time_boot_ms: int, range_m: float | None, sigma_m: float, sensor_id: int) -> Message:
     """Return a downward DISTANCE_SENSOR with the reading that a lidar would have, for an autopilot without one.
 
@@ -290,14 +305,6 @@ def range_along_down(d_body_pad_ned: F64, R_ned_body: Rotation) -> float | None:
 LAGS: Mapping[Stack, tuple[float, float]] = {Stack.ARDUPILOT: (0.15, 0.5), Stack.PX4: (0.5, 0.55)}
 """Distance that each autopilot's own landing leaves to a deck in waves: s for its velocity less the way, s^2 for the change of
 that, which comes `_CHANGE_S` late. They were fitted to flights of ArduCopter 4.5.7 and PX4 1.16.2 (docs/evidence.md)."""
-PX4_LATE_S = 0.06
-"""Lag of PX4 behind a steady ship beyond that of its law, s."""
-_WAY_S = 20.0
-"""Time over which the ship's way is averaged, s."""
-_CHANGE_S = 0.5
-"""Time over which the velocity's change is taken for the acceleration, s."""
-_BLIND_BELOW_M = 1.0
-"""Height below which the camera may lose the pad, so that the target is carried on for longer, m."""
 
 
 class Lead:
@@ -340,12 +347,6 @@ class Lead:
             brakes, jerk = (vehicle.parameter_values.get(*known) for known in (("MPC_ACC_HOR", 3.0), ("MPC_JERK_AUTO", 4.0)))
             ahead = ahead + v * (2.0 * brakes / jerk + math.hypot(*v) / (2.0 * brakes) + PX4_LATE_S)
         return np.asarray(ahead)
-
-
-DEFAULT_PLND_LAG_S, PLND_LAG_MAX_S = 0.02, 0.25
-"""Default and largest PLND_LAG of ArduPilot, s."""
-_MAVLINK_RANGEFINDER = 10.0
-"""The RNGFNDx_TYPE of a rangefinder that reads DISTANCE_SENSOR."""
 
 
 class AutopilotView(Struct, frozen=True):

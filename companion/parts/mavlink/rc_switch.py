@@ -22,8 +22,10 @@ from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.rc_channels import RATE_HZ, band_of, pulse_us
 from estimator.contracts.time import MonoNs, seconds_between
 
-DEBOUNCE_S, GAP_S = 0.3, 1.0
-"""Time for which a position must be held, and the gap between two messages after which it is forgotten, s."""
+DEBOUNCE_S = 0.3
+"""Time for which a position must be held."""
+GAP_S = 1.0
+"""The gap between two messages after which it is forgotten."""
 _RECEIVER = int(mav.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 _WAITS = frozenset({OperatorOrder.BEGIN, OperatorOrder.STAY})
 """Orders that fly the vehicle to the pad."""

@@ -22,6 +22,8 @@ __all__ = ["CONTENT_TYPE", "text"]
 Samples = Iterable[tuple[Sequence[str], float | None]]
 _Row = tuple[type[CounterMetricFamily | GaugeMetricFamily], str, str, tuple[str, ...], Samples]
 """Kind of a family, its name, its description, the names of its labels, and its samples by their labels."""
+_PAGE_S = 0.2
+"""The shortest time between two renderings of a page, s: a flood of requests must not cost the flight more than that."""
 
 
 class _Snapshot(Collector):
@@ -116,10 +118,6 @@ def _of_mission(mission: MissionHealth) -> Iterator[_Row]:
     yield counter, "decklander_transitions", words, labels, mission.transitions.items()
     words = "Ended flights by outcome."
     yield counter, "decklander_flights", words, ("outcome",), [((name,), n) for name, n in mission.flights.items()]
-
-
-_PAGE_S = 0.2
-"""The shortest time between two renderings of a page, s: a flood of requests must not cost the flight more than that."""
 
 
 class MetricsEndpoint:

@@ -37,11 +37,11 @@ from estimator.contracts.errors import Recoverable
 
 INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
-_LARGEST_BYTES = 65_536
-_FAREWELL_S = 1.0
+_LARGEST_BYTES = 65_536  # the largest packet that is taken
+_FAREWELL_S = 1.0  # time to end the connection in order
 _NO_TLS = ("WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG")
 """OpenSSL's reasons where the other end answers in plain TCP."""
-_THREAD_S = 0.02
+_THREAD_S = 0.02  # interval at which the end of a cancelled dialling is looked for
 _quiet = logging.getLogger("companion.parts.mqtt.paho")
 _quiet.setLevel(logging.CRITICAL)
 """This logger is silenced because aiomqtt warns once for every message that it discards, which in a flood is a second flood."""

@@ -24,6 +24,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 LOST_AFTER_S = 1.0
 """The time without a sighting after which the pad counts as lost, s."""
 BATTERY_LOW = 0.2
+"""Charge below which a low battery is an event."""
 
 
 class PendingEvent(Struct, frozen=True):

@@ -52,7 +52,8 @@ from companion.parts.mqtt.messages import (
     Topics,
     encode,
 )
-from companion.parts.mqtt.spool import Outbox, Spool
+from companion.parts.mqtt.outbox import Outbox
+from companion.parts.mqtt.spool import Spool
 from companion.settings import files
 from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
@@ -64,7 +65,9 @@ from estimator.contracts.samples import GeoFix, Sample, VehicleStatus, VesselRep
 from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 
 LONGEST_BYTES = 4096
+"""The longest command."""
 REPORT_MAX_BYTES = 1024
+"""The longest report of a vessel."""
 FARTHEST_S = 60.0
 """The longest time that a command may stay valid, s."""
 REMEMBERED = 4096
@@ -75,6 +78,17 @@ _SIGNED = re.compile(rb"([0-9a-f]{64}) (.+)", re.DOTALL)
 
 T = TypeVar("T")
 Samples = list[GeoFix | VesselReport]
+_GOODBYE_S = 0.4
+"""The time for the farewell, s: the service has 2 s to end in, and its parts have 1 s of that."""
+_WATCH_PARTS_S = 0.5  # interval at which the states of parts are compared
+_HEALTHY_S = 10.0  # time for which a connection lasts that ends the back-off
+_CLOCK_SET_S = 1.0
+"""Change of the wall clock that is published at once; NTP slews less."""
+_WATCH_CLOCK_S = 2.0  # interval at which the wall clock is compared
+_STATUS_AGAIN_S = 60.0  # time after which the status is published again
+_LEAVE_OUT = 3
+"""Connections that ended at the first message of a topic, after which it is left out; events stay in the spool."""
+_NAMESAKE_AGAIN_S = 600.0  # time between two log lines about another client with the same id
 
 
 class RefusedMessage(ValueError):
@@ -290,17 +304,6 @@ log = logging.getLogger(__name__)
 
 BROKER = "broker"
 """The connection's own name in health: the part is up while it tries to connect."""
-_GOODBYE_S = 0.4
-"""The time for the farewell, s: the service has 2 s to end in, and its parts have 1 s of that."""
-_WATCH_PARTS_S = 0.5
-_HEALTHY_S = 10.0
-_CLOCK_SET_S = 1.0
-"""Change of the wall clock that is published at once; NTP slews less."""
-_WATCH_CLOCK_S = 2.0
-_STATUS_AGAIN_S = 60.0
-_LEAVE_OUT = 3
-"""Connections that ended at the first message of a topic, after which it is left out; events stay in the spool."""
-_NAMESAKE_AGAIN_S = 600.0
 
 
 class MqttPart(NullObserver):

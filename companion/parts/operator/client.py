@@ -29,6 +29,8 @@ OFF, AUTO = "off", "auto"
 _PATH_MAX = 100
 """The longest path that the kernel takes for a Unix socket is 107 bytes."""
 _SYSTEM = Path("/run/decklander")
+_ANSWER_S = 3.0
+"""Longer than a standstill of the service whose waiting orders it still obeys (`OperatorArbiter.refusal`)."""
 
 
 def socket_path(settings: Settings) -> Path | None:
@@ -103,8 +105,6 @@ def _sockets(folder: Path) -> list[Path]:
         return []
 
 
-_ANSWER_S = 3.0
-"""Longer than a standstill of the service whose waiting orders it still obeys (`OperatorArbiter.refusal`)."""
 T = TypeVar("T")
 
 

@@ -19,9 +19,9 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 log = logging.getLogger(__name__)
 
-_SCAN_S = 1.0
-_TICK_S = 0.02
-_NO_PERMISSION_S = 30.0
+_SCAN_S = 1.0  # interval at which a gamepad is looked for
+_TICK_S = 0.02  # interval of its state
+_NO_PERMISSION_S = 30.0  # that interval where none may be opened
 
 
 class GamepadPart(FlightWatch):

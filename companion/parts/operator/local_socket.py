@@ -33,8 +33,8 @@ from estimator.contracts.time import Clock
 
 log = logging.getLogger(__name__)
 
-_STATE_S = 0.2
-_CONNECTIONS = 8
+_STATE_S = 0.2  # interval of the state
+_CONNECTIONS = 8  # terminals that may be connected at a time
 _REQUESTS_EACH_S = 100
 """The number of requests of one connection in a second; sticks come at 20 Hz."""
 _UNREAD_BYTES = 64 * 1024

@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 from companion.settings.links import HttpSettings, is_address
 
-_TOKEN_BYTES = 24
+_TOKEN_BYTES = 24  # random bytes of a token
 
 
 def make_token() -> str:

@@ -31,6 +31,7 @@ from companion.facts.wire import OrderRequest, SticksRequest
 from companion.guidance.advice import advice
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.page.access import own_names, refused_origin
+from companion.parts.page.files import assets
 from companion.parts.page.messages import (
     MESSAGE_MAX,
     DrawnNotice,
@@ -48,7 +49,6 @@ from companion.parts.page.messages import (
     picture_message,
     request_in,
 )
-from companion.parts.page.recordings import assets
 from companion.parts.page.viewer import PageService, PageViewer, Tool, refuse
 from companion.recording.frame_encoder import FrameEncoder, VideoQuality, codec_name
 from companion.tools.report.overlay import camera_lean, pad_lines, runs_of
@@ -71,8 +71,27 @@ AHEAD_S = (1.0, 2.0)
 """Horizons at which the deck is drawn, s; the drone is assumed to keep its velocity."""
 _CHI2_95 = 5.991
 """95 % quantile of the chi-square distribution with two degrees of freedom."""
-_FAR_PX = 4000.0
+_FAR_PX = 4000.0  # lines are cut so far outside the picture
 _CIRCLE = np.linspace(0.0, math.tau, 36, endpoint=True)
+WRONG_TOKEN_CODE = 4401
+"""Close code of a websocket without the token."""
+FULL_CODE = 4409
+"""Close code where as many watch as may."""
+GOING_CODE = 1001
+"""Close code of a service that ends (RFC 6455)."""
+_STATE_S = 0.1  # interval of the state
+_HEALTH_EACH = 10  # health comes with each state of this number
+_LOGIN_S = 3.0
+"""The time in which a connection must name the token."""
+_WRONG_TOKEN_S = 1.0
+"""A wrong token is answered after this time."""
+_ALIVE_S = 4.0
+"""Interval of pings to a browser, s; half of it without an answer ends the connection."""
+_ATTITUDE_S = 1.0  # age up to which an attitude is shown
+_THINGS_S = 1.0
+"""Time after the last frame that was searched for which things are shown."""
+_EVENTS = 60
+"""Events that are kept for a browser that comes later."""
 
 
 def picture_lines(
@@ -167,21 +186,8 @@ def _figures(health: HealthSnapshot) -> Iterator[tuple[str, str]]:
 
 ORDERS = tuple(order for order in OperatorOrder if order is not OperatorOrder.RECORD)
 """The orders that the page may give."""
-WRONG_TOKEN_CODE, FULL_CODE, GOING_CODE = 4401, 4409, 1001
-_STATE_S, _HEALTH_EACH = 0.1, 10
-_LOGIN_S = 3.0
-"""The time in which a connection must name the token."""
-_WRONG_TOKEN_S = 1.0
-"""A wrong token is answered after this time."""
-_ALIVE_S = 4.0
-"""Interval of pings to a browser, s; half of it without an answer ends the connection."""
-_ATTITUDE_S = 1.0
-_THINGS_S = 1.0
-"""Time after the last frame that was searched for which things are shown."""
 _NO_WEBSOCKET = "this address is for a websocket; a reverse proxy must pass Upgrade and Connection on, over HTTP/1.1\n"
 _LANDING_PHASES = frozenset(state.value for state in FLOWN)
-_EVENTS = 60
-"""Events that are kept for a browser that comes later."""
 
 
 class PageEndpoint(NullObserver):

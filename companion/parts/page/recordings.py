@@ -4,7 +4,6 @@ A browser's download carries no token, so the page requests an address over its 
 """
 
 import asyncio
-import mimetypes
 import os
 import re
 import secrets
@@ -14,15 +13,13 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import closing, suppress
-from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO
 
 from aiohttp import web
-from msgspec import Struct
 
 from companion.base.worker import Worker
+from companion.parts.page.files import send_file
 from companion.parts.page.messages import (
     DownloadAnswer,
     DownloadRequest,
@@ -38,72 +35,20 @@ from drivers.mailbox import Line
 from estimator.contracts.errors import in_words, unusable
 from estimator.contracts.time import MonoNs, seconds_between
 
-
-class Asset(Struct, frozen=True):
-    """One file of the page."""
-
-    body: bytes
-    content_type: str
-
-    async def answer(self, request: web.Request) -> web.Response:
-        """Answer a request with this file."""
-        return web.Response(body=self.body, headers={"Content-Type": self.content_type})
-
-
-def assets() -> dict[str, Asset]:
-    """Return the files by their paths in an address: the page itself at `/`, the others by their names."""
-    # The built-in table alone: a host's own may call a script plain text, which a browser does not run.
-    found, types = {}, mimetypes.MimeTypes()
-    for file in (resources.files("companion.parts.page") / "static").iterdir():
-        kind, _ = types.guess_type(file.name)
-        if kind is not None:
-            charset = "; charset=utf-8" if kind.startswith("text/") else ""
-            found["/" if file.name == "index.html" else f"/{file.name}"] = Asset(file.read_bytes(), kind + charset)
-    return found
-
-
-_PIECE_BYTES = 64 * 1024
-_PIECE_S = 10.0
-"""A browser that takes no piece for so long is hung up on."""
-
-
-async def send_file(request: web.Request, path: Path, headers: Mapping[str, str]) -> web.StreamResponse:
-    """Send a file as far as it is written at this moment; answer 404 where there is none. No symbolic link is followed.
-
-    Raises:
-        ConnectionResetError: the browser hung up or was too slow, or the disk failed, on the way.
-    """
-    worker = Worker("page file")
-    file: BinaryIO | None = None
-    try:
-        file, size = opened = await worker.run(_opened, path)
-        answer = web.StreamResponse(headers=headers)
-        answer.content_length = size
-        await answer.prepare(request)
-        while size > 0:
-            piece = await worker.run(opened[0].read, min(size, _PIECE_BYTES))
-            if not piece:
-                break
-            size -= len(piece)
-            async with asyncio.timeout(_PIECE_S):
-                await answer.write(piece)
-        return answer
-    except OSError as why:  # a hung-up browser, a slow one (TimeoutError), or the disk
-        if file is None:
-            return web.Response(status=404, text=f"{unusable(path.name, why)}\n")
-        raise ConnectionResetError(f"{path.name} was not sent to its end") from why
-    finally:
-        if file is not None:
-            with suppress(Exception):
-                await worker.run(file.close)
-        worker.close()
-
-
-def _opened(path: Path) -> tuple[BinaryIO, int]:
-    status = path.lstat()
-    if not stat.S_ISREG(status.st_mode):
-        raise FileNotFoundError(2, "not a file", str(path))
-    return path.open("rb"), status.st_size
+_WAITING = 4  # requests of either kind that may wait
+_KEPT = 3
+"""Reports that stay on the disk, the newest."""
+_MAKING_S = 600.0  # time of a report
+_LOOKS_S = 0.2  # interval at which a flight that begins ends it
+_BYTES_MAX = 400_000_000
+"""Recordings beyond this, some four minutes with pictures, would take too much of a small computer's memory."""
+_NICE = 19  # priority of the report: the lowest
+_OOM_SCORE = 500
+"""If memory runs short the kernel ends the report, not the service."""
+_LISTED = 50  # recordings that are listed, the newest
+_TICKETS = 16  # tickets for downloads that are kept
+_TICKET_S = 30.0  # time for which a ticket is good
+_DOWNLOADS = 2  # downloads at a time
 
 
 # The reports that the page shows of recordings are each made by a process of its own while the vehicle is on the ground.
@@ -117,22 +62,8 @@ HEADERS: Mapping[str, str] = MappingProxyType(
         "Content-Type": "text/html; charset=utf-8",
     }
 )
-_WAITING = 4
-_KEPT = 3
-"""Reports that stay on the disk, the newest."""
-_MAKING_S = 600.0
-_LOOKS_S = 0.2
-_BYTES_MAX = 400_000_000
-"""Recordings beyond this, some four minutes with pictures, would take too much of a small computer's memory."""
-_NICE = 19
-_OOM_SCORE = 500
-"""If memory runs short the kernel ends the report, not the service."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}\.mcap")
 """Names of the recorder's files: without a path."""
-_LISTED = 50
-_TICKETS = 16
-_TICKET_S = 30.0
-_DOWNLOADS = 2
 IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download; ask again on the ground"
 
 

@@ -33,7 +33,7 @@ IN_FLIGHT = "the vehicle flies: settings are saved on the ground"
 ARMED = "the motors are armed: settings are saved while they are disarmed"
 NO_FILE = "this service was started without a settings file of its own"
 AFTERWARDS = "It takes effect when the service starts again (sudo systemctl restart decklander)"
-_WAITING = 8
+_WAITING = 8  # requests that may wait
 _FOLDER = re.compile(r"[/\\]")
 
 

@@ -9,7 +9,8 @@ from typing import Literal
 
 from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
-from companion.parts.recorder.recorder import PART, Folder, Recorder, SingleFile, start_of
+from companion.parts.recorder.folder import Folder, SingleFile, start_of
+from companion.parts.recorder.recorder import PART, Recorder
 from companion.recording.channels import CAMERA, PAD, SETTINGS
 from companion.recording.mcap_file import About, Attachment
 from companion.settings import schema

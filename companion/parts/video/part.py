@@ -31,6 +31,9 @@ from estimator.vision.pad.pad import Pad
 
 _PACKET_BYTES = 1200
 """Size below the MTU of tunnels and radios, so that no packet is fragmented."""
+_FLOWS_S = 2.0
+"""The stream counts as flowing for this long after a picture."""
+_CLOSING_S = 0.3  # time that the encoder gets to end
 
 
 class RtpStream:
@@ -86,11 +89,6 @@ class RtpStream:
         """Close the socket; what the network does not take any more is lost."""
         with suppress(OSError, FFmpegError):
             self._container.close()
-
-
-_FLOWS_S = 2.0
-"""The stream counts as flowing for this long after a picture."""
-_CLOSING_S = 0.3
 
 
 class VideoStreamPart(NullObserver):

@@ -17,9 +17,9 @@ import companion.settings.load as settings_of
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.parts.mavlink.bridge import VehicleBridge
-from companion.parts.mavlink.commands import Tunables
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.outputs import Outputs
+from companion.parts.mavlink.parameters import Tunables
 from companion.settings.links import OutputOptions
 from companion.settings.model import Settings
 from drivers.mavlink.autopilot import Autopilot, open_autopilot

@@ -21,10 +21,9 @@ from companion.parts.mavlink.commands import (
     CommandServer,
     LandingProgress,
     Offered,
-    ParameterServer,
-    Tunables,
 )
 from companion.parts.mavlink.component import BURST, WAITING, Computer, ComputerReader, MavSeverity, StatusTexts, computer_status
+from companion.parts.mavlink.parameters import ParameterServer, Tunables
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
 from companion.settings.model import Settings

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink import mavftp, mavutil
 
-from companion.parts.mavlink.commands import NAMES
 from companion.parts.mavlink.file_server import DATA_MAX, FileServer, FtpError, Opcode, crc32
 from companion.parts.mavlink.metadata import metadata_files
+from companion.parts.mavlink.parameters import NAMES
 from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from companion.parts.mavlink.camera_component import CameraComponent, Send, showing
-from companion.parts.mavlink.commands import NAMES, LandingProgress
+from companion.parts.mavlink.commands import LandingProgress
 from companion.parts.mavlink.metadata import metadata_files
+from companion.parts.mavlink.parameters import NAMES
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
 from drivers.clock import SystemClock

@@ -22,8 +22,9 @@ from companion.base.mission import Event, Reason, ReasonCause, State, StateChang
 from companion.base.observer import Decision
 from companion.cli.page_link import certify
 from companion.parts.page import endpoint, viewer
+from companion.parts.page.files import assets
 from companion.parts.page.messages import PageRequest, request_in
-from companion.parts.page.recordings import assets, recordings_in
+from companion.parts.page.recordings import recordings_in
 from companion.settings.links import HttpSettings
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.errors import BadInput

@@ -25,7 +25,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from companion.cli.calibrate import block
-from companion.parts.page import make
+from companion.parts.page import calibration_tool, doctor_tool
 from companion.parts.page.access import own_names, refused_origin
 from companion.parts.page.endpoint import picture_lines
 from companion.parts.page.settings_tool import check, line_of, unmasked
@@ -84,7 +84,7 @@ def reads_of(fake: MiniatureAutopilot) -> int:
 
 
 async def test_findings_come_from_the_open_links_and_only_on_the_ground(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(make, "LISTENING_S", 0.5)
+    monkeypatch.setattr(doctor_tool, "LISTENING_S", 0.5)
     fake = MiniatureAutopilot(parameters=with_fault())
     async with (
         flown_by(fake) as autopilot,
@@ -120,7 +120,7 @@ async def test_a_take_off_ends_an_examination(tmp_path: Path) -> None:
         await browser.send(kind="examine")
         assert (await browser.read("examined"))["busy"]
         service.flying = True
-        assert (await browser.read("examined"))["text"] == make.EXAMINATION_ENDED
+        assert (await browser.read("examined"))["text"] == doctor_tool.EXAMINATION_ENDED
         assert autopilot.parameters.settled, "nothing more is asked"
         assert autopilot._listeners == []
 
@@ -598,7 +598,7 @@ def test_a_guide_names_what_is_missing_until_nothing_is(images: list[NDArray[np.
 
 
 async def test_a_person_is_led_to_a_camera_file(tmp_path, images, monkeypatch):
-    monkeypatch.setattr(make, "_FRAME_S", 0.0)
+    monkeypatch.setattr(calibration_tool, "_FRAME_S", 0.0)
     path = rig(tmp_path)
     async with serving(tmp_path, settings_file=path) as service, browsing(service) as browser, browsing(service) as other:
         assert "flies" in (await asked(browser, "begin"))["text"]
@@ -615,14 +615,14 @@ async def test_a_person_is_led_to_a_camera_file(tmp_path, images, monkeypatch):
                 reported = await browser.read("calibration")
         assert (reported["text"], reported["grade"], reported["lacks"]) == ("complete", "good", [])
         assert (await asked(browser, "save"))["text"].startswith("saved beside the settings")
-        found = Camera.from_mapping(tomllib.loads((tmp_path / make.NAME).read_text()), "camera")
+        found = Camera.from_mapping(tomllib.loads((tmp_path / calibration_tool.NAME).read_text()), "camera")
         assert abs(found.fx / TRUE.fx - 1) < 0.004
         assert np.allclose(found.T_body_cam.R.matrix, service.pilot.camera.T_body_cam.R.matrix, atol=1e-4), "the mount is kept"
         assert (await asked(browser, "save"))["text"].startswith("saved beside the settings")
         service.flying = True
         while "flies" not in (await asked(browser, "save"))["text"]:
             pass
-    assert names(tmp_path) == [make.NAME, f"{make.NAME}.before", "rig.toml", "token"]
+    assert names(tmp_path) == [calibration_tool.NAME, f"{calibration_tool.NAME}.before", "rig.toml", "token"]
 
 
 async def test_a_take_off_ends_a_calibration_and_garbage_its_connection(tmp_path: Path) -> None:
@@ -633,7 +633,7 @@ async def test_a_take_off_ends_a_calibration_and_garbage_its_connection(tmp_path
         reported = await browser.read("calibration")
         while reported["active"]:
             reported = await browser.read("calibration")
-        assert (reported["text"], reported["file"]) == (make.TOOK_OFF, "")
+        assert (reported["text"], reported["file"]) == (calibration_tool.TOOK_OFF, "")
         for more in ({"columns": 1}, {"square_mm": 0}, {"board": "../x"}, {"action": "install"}, {"path": "/etc/x"}):
             async with browsing(service) as garbage:
                 await garbage.read("welcome")
