@@ -370,9 +370,7 @@ def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_p
 
 def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {"bytes": 9_000_000}
-    monkeypatch.setattr(
-        "companion.parts.recorder.recorder.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]})
-    )
+    monkeypatch.setattr("companion.parts.recorder.folder.shutil.disk_usage", lambda _: type("Usage", (), {"free": free["bytes"]}))
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=5.0)
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(300):
@@ -397,7 +395,7 @@ def test_too_little_free_space_ends_the_file_before_the_disk_is_full(tmp_path: P
 
 
 def test_a_full_disk_with_a_little_room_is_left_alone(tmp_path, disk, caplog, monkeypatch):
-    monkeypatch.setattr("companion.parts.recorder.recorder.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
+    monkeypatch.setattr("companion.parts.recorder.folder.shutil.disk_usage", lambda _: type("Usage", (), {"free": 300_000}))
     folder = Folder(tmp_path, "20261120T050000Z", 100.0, 1000.0, min_free_mb=0.0)
     with Recorder(folder, CAMERA, ABOUT, RecorderOptions(flush_s=0.1, retry_s=0.5)) as recorder:
         for i in range(500):

@@ -16,14 +16,13 @@ from companion.parts.mavlink.commands import (
     DENIED,
     FAILED,
     IN_PROGRESS,
-    NAMES,
     UNSUPPORTED,
     CommandServer,
     LandingProgress,
     Offered,
 )
 from companion.parts.mavlink.component import BURST, WAITING, Computer, ComputerReader, MavSeverity, StatusTexts, computer_status
-from companion.parts.mavlink.parameters import ParameterServer, Tunables
+from companion.parts.mavlink.parameters import NAMES, ParameterServer, Tunables
 from companion.settings.links import VideoStreamOptions
 from companion.settings.load import camera_model, load
 from companion.settings.model import Settings
