@@ -16,14 +16,24 @@ BoardKind = Literal["charuco", "chessboard", "aprilgrid"]
 BOARDS: tuple[BoardKind, ...] = get_args(BoardKind)
 
 _DICTIONARY = cv2.aruco.DICT_5X5_250
-_MARKER_BITS = 5
+_MARKER_BITS = 5  # bits along a side of a ChArUco marker
 _LEAST_CORNERS = 8
 """Fewest corners of a ChArUco board for a view: fewer add too little information to risk a wrong one."""
 _TAGS = cv2.aruco.DICT_APRILTAG_36h11
-_TAG_BITS, _TAG_BORDER, _TAGS_MOST = 6, 2, 587
-_LEAST_TAGS = 4
+_TAG_BITS = 6  # bits along a side of a tag
+_TAG_BORDER = 2  # width of its border, in bits
+_TAGS_MOST = 587  # tags of the family
+_LEAST_TAGS = 4  # tags of a view at least
 _TAG_CORNERS = np.array([(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
 """The corners of a tag as Kalibr counts them: from the lower left one, against the clock."""
+MOST = 60
+"""Largest number of views kept; more only cost time."""
+_NEW = 0.06
+"""Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
+_STILL = 0.004
+"""Share of the diagonal by which a board that is held still moves: from one frame of a video to the next, or in a burst."""
+_TRIES = 8
+"""Number of images without the board that are searched for a mirrored one, and for one with as many corners as squares given."""
 
 
 @dataclass(frozen=True)
@@ -206,16 +216,6 @@ def _cells(bits: NDArray[np.generic], x: float, y: float, cell: float) -> list[F
 def _rectangle(x: float, y: float, width: float, height: float | None = None) -> F64:
     h = width if height is None else height
     return np.array([(x, y), (x + width, y), (x + width, y + h), (x, y + h)])
-
-
-MOST = 60
-"""Largest number of views kept; more only cost time."""
-_NEW = 0.06
-"""Share of the image's diagonal that the board must have moved, shrunk or turned to be a new view."""
-_STILL = 0.004
-"""Share of the diagonal by which a board that is held still moves: from one frame of a video to the next, or in a burst."""
-_TRIES = 8
-"""Number of images without the board that are searched for a mirrored one, and for one with as many corners as squares given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

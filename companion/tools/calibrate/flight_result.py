@@ -40,6 +40,7 @@ from estimator.vision.pad.pad import Pad
 from estimator.vision.register.registration import RegistrationOptions, register
 
 LAST_SIGHTING_M = 0.4
+"""Distance of the last sighting: lower the pad fills the frame."""
 DELAY_SPEED_M_S = 0.9
 """Cost of a second of delay: 50 ms added 4.7 cm rms to ten landings of the scenario demo."""
 TURN_RATE_RAD_S = 0.25
@@ -48,6 +49,30 @@ APPROACH_M = 3.0
 """Height at which guidance begins to descend, where an error costs most."""
 LEAN_RAD = math.radians(8.5)
 """Lean of a small vehicle near the deck, against a wind of 2.5 m/s and the way of a ship at 1.5 m/s."""
+FRAMES_MOST = 240
+"""Frames that are registered again."""
+_FIRST_S = (0.0, 0.02)
+"""The two readout times of the first round."""
+_CLOSE_S = 0.004  # how far those of the second lie to either side of its result
+READOUT_LARGEST_S = 0.09
+"""Longest readout time that is searched."""
+PAD_S = 40.0
+"""Time with the pad in view that a calibration flight needs."""
+LEAN_DEG = 4.0
+"""Tilts to each side that it needs."""
+TURN_DEG = 90.0
+"""Turns to each side that it needs."""
+_GAP_S = 0.5  # longest gap between two views that counts as the pad in view
+MOUNT_SIGMA_MAX_DEG = 0.3
+"""Standard deviation of the mount above which a result is not written."""
+DELAY_SIGMA_MAX_S = 0.003
+"""Standard deviation of the delay above which it is not."""
+READOUT_SIGMA_MAX_S = 0.003
+"""Standard deviation of the readout time above which it is not."""
+DECK_TURNS_RAD = math.radians(0.2)
+"""A pad that turns by more than this by itself is on a ship."""
+_CONTRADICTING_MOST = 0.2  # share of the views that may contradict the result
+_DELAY_MOST_S = 0.25  # longest delay beyond that of the file
 
 
 class TouchdownCost(NamedTuple):
@@ -135,10 +160,6 @@ def _tilt_moved(of: TiltResponse, by: F64) -> TiltResponse:
     return structs.replace(of, delay_s=delay, frequency_rad_s=frequency, damping=damping)
 
 
-FRAMES_MOST = 240
-_FIRST_S, _CLOSE_S = (0.0, 0.02), 0.004
-"""The two readout times of the first round, and how far those of the second lie to either side of its result."""
-READOUT_LARGEST_S = 0.09
 _OPTIONS = RegistrationOptions(coarse=True)
 
 
@@ -232,11 +253,6 @@ def _poses(
         yield (found.pose, found.cov[3:, 3:]) if found is not None and sure and not found.yaw_ambiguous else None
 
 
-PAD_S, LEAN_DEG, TURN_DEG = 40.0, 4.0, 90.0
-"""Needs of a calibration flight: time with the pad in view, tilts to each side, turns to each side."""
-_GAP_S = 0.5
-
-
 @dataclass(slots=True)
 class FlightCoverage:
     """Counts what counts while the pad is in view."""
@@ -297,16 +313,6 @@ class FlightCoverage:
             f"{-self.pitch_deg[0]:.0f}, back {self.pitch_deg[1]:.0f} degrees; turns clockwise {self.clockwise_deg:.0f}, "
             f"counter-clockwise {self.counter_deg:.0f} degrees"
         )
-
-
-MOUNT_SIGMA_MAX_DEG = 0.3
-DELAY_SIGMA_MAX_S = 0.003
-READOUT_SIGMA_MAX_S = 0.003
-"""Standard deviations above which a result is not written."""
-DECK_TURNS_RAD = math.radians(0.2)
-"""A pad that turns by more than this by itself is on a ship."""
-_CONTRADICTING_MOST = 0.2
-_DELAY_MOST_S = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,9 +28,21 @@ from estimator.vision.camera.pose import Orientation, tilt_axes
 
 _APART_S = 5.0
 """A longer time without a command parts two flights, s."""
-_STEP_MAX_S = 0.1
+_STEP_MAX_S = 0.1  # longest step over which a velocity is integrated
 _ON_DECK = frozenset({State.PRESS.value, State.DOWN.value, State.LANDED.value, State.LANDED_BY_OTHERS.value})
 """Phases in which the deck holds the vehicle."""
+GYRO_RATE_LEAST_HZ = 40.0
+"""Rate of the gyro that a calibration needs."""
+TILT_SIGMA_MAX_RAD = math.radians(2.0)
+"""A pose whose tilt is known worse than this says nothing of the mount."""
+_NEIGHBOURS_S = 0.25
+"""Longest time between the frames before and after a view whose rate of place is used."""
+VIEWS_LEAST = 100
+"""Views that a calibration needs."""
+VIEWS_MOST = 600
+"""Views that are used. More of a minute add hardly anything: the errors of neighbours are alike."""
+_STEPS = 30  # steps of the search at most
+_SAME = 1e-13  # change of a step that ends it
 
 
 class FlownCourses(Struct, frozen=True):
@@ -120,15 +132,6 @@ def _integral(rows: list[tuple[float, float]]) -> list[tuple[float, float]]:
             v += 0.5 * (a + b) * min(_STEP_MAX_S, t - before)
             out.append((t, v))
     return out
-
-
-GYRO_RATE_LEAST_HZ = 40.0
-TILT_SIGMA_MAX_RAD = math.radians(2.0)
-"""A pose whose tilt is known worse than this says nothing of the mount."""
-_NEIGHBOURS_S = 0.25
-"""Longest time between the frames before and after a view whose rate of place is used."""
-VIEWS_LEAST, VIEWS_MOST = 100, 600
-"""More views of a minute add hardly anything: the errors of neighbours are alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,8 +252,6 @@ def _check(name: str, poses: int, gyro: list[float], attitudes: int) -> None:
         )
 
 
-_STEPS = 30
-_SAME = 1e-13
 _QUARTER_TURN = -np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 

@@ -23,6 +23,7 @@ from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.geometry import Transform
 
 VIEWS = 10
+"""Required number of views."""
 CELLS = (6, 4)
 """Columns and rows of cells that the image is divided into for measuring the coverage by corners."""
 COVERED = 0.8
@@ -30,11 +31,13 @@ COVERED = 0.8
 REACH = 0.7
 """Share of the way from the image's centre to each of its corners that the board's corners must reach."""
 TILT_DEG = 15.0
+"""Tilt from which a view counts as tilted."""
 TILTED = 2
 """Required number of views tilted at least `TILT_DEG`, about each of the image's axes."""
 FLAT_DEG = 8.0
 """Tilt below which a view says nothing of the focal length: `TILTED` views must exceed it, or the set is flat."""
 RMS_PX = 1.0
+"""Largest error of the corners' places."""
 SIGMA_F = 0.004
 """Accepted standard deviation of fx and fy as a share of them; it causes a range error of the same share."""
 SIGMA_C = 0.004
@@ -44,6 +47,8 @@ NAMES = (("top left", "top right"), ("bottom left", "bottom right"))
 Grade = Literal["good", "fair", "poor"]
 GRADES: tuple[Grade, ...] = ("good", "fair", "poor")
 """The grades, from the best to the worst."""
+_GROWN = 1.1
+"""A set of views is solved again when it has grown by this factor: solving costs more the more views there are."""
 
 
 class Assessment(Struct, frozen=True):
@@ -130,10 +135,6 @@ def assess(solution: Solution, size: tuple[int, int]) -> Assessment:
             f"views that agree: {len(solution.left_out)} of {len(solution.left_out) + len(solution.fits)} contradict the rest"
         )
     return Assessment(tuple(imprecise), tuple(uncovered))
-
-
-_GROWN = 1.1
-"""A set of views is solved again when it has grown by this factor: solving costs more the more views there are."""
 
 
 class GuideState(Struct, frozen=True):

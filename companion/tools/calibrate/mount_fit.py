@@ -18,7 +18,48 @@ from numpy.typing import NDArray
 from companion.tools.calibrate.flight_views import FlightViews
 from estimator.contracts.geometry import F64
 
-_SMALL_RAD = 1e-4
+_SMALL_RAD = 1e-4  # angle below which a turn is computed by its series
+STATES = 9
+"""Errors of the gyro's angle, of the reported attitude and of the deck, each (3,) rad in `ned`."""
+_START_RAD = 0.3
+"""Standard deviation of the gyro's first attitude."""
+_ATTITUDE_WHITE_RAD = 1e-4  # standard deviation of the reported attitude's white noise
+_WORTH = 0.5
+"""Twice the logarithm of the likelihood that a step has to gain."""
+_MOST_STEPS = 15  # steps of the search at most
+MOUNT = slice(0, 3)
+"""Place of the mount among the parameters, a turn of the camera from its file, in `body`, rad."""
+DELAY = 3
+"""Place of the delay, s."""
+GYRO = slice(4, 7)
+"""Place of the gyro's bias, rad/s."""
+PAD = slice(7, 10)
+"""Place of the pad's attitude, rad."""
+LEVEL = slice(10, 12)
+"""Place of the constant error of the reported roll and pitch, in `body`, rad."""
+READOUT = 12
+"""Place of the readout time beyond that of the views, s, which stays 0 where they do not say what it does."""
+COUNT = 13
+"""Number of parameters."""
+_MOUNT_PRIOR_RAD = 0.5  # standard deviation of the prior of the mount
+_DELAY_PRIOR_S = 0.3  # standard deviation of the prior of the delay
+_GYRO_PRIOR_RAD_S = 0.05  # standard deviation of the prior of the gyro's bias
+_PAD_PRIOR_RAD = 1.0  # standard deviation of the prior of the pad's attitude
+_READOUT_PRIOR_S = 0.05  # standard deviation of the prior of the readout time
+_READOUT_FIXED_S = 1e-6  # the same where the views do not say what it does
+_LEVEL_LEAST_RAD = math.radians(0.5)
+"""An attitude that claims less than this for its constant error is not used."""
+_STEPS = 8  # steps of the fit
+_SEARCHED_AT = (2, 4)
+"""Steps at which the noise is searched."""
+_GATED_FROM = 1  # step from which on outliers are left out
+_CONVERGED = 1e-5  # change of a step that ends the fit
+_SEARCH_VIEWS = 300  # views that the noise is searched with
+_BLOCK_S = 4.0  # length of a stretch of which errors are taken to be alike
+_OUTLIER_SIGMAS = 5.0  # standard deviations from which a view is an outlier
+_RATE_OVER_S = 0.02  # time over which the gyro's rate is averaged
+_DELAY_MAX_S = 0.28
+"""Least margin of the gyro's samples before and after the views, s."""
 
 
 def exps(rotvec_rad: F64) -> F64:
@@ -112,11 +153,6 @@ class GyroAttitude:
 #
 # Source: Bryson and Ho, Applied Optimal Control, 1975, section 13 (whitening by innovations).
 
-STATES = 9
-"""Errors of the gyro's angle, of the reported attitude and of the deck, each (3,) rad in `ned`."""
-_START_RAD = 0.3
-"""Standard deviation of the gyro's first attitude."""
-_ATTITUDE_WHITE_RAD = 1e-4
 _H = np.block([[-np.eye(3), np.zeros((3, 3)), np.eye(3)], [np.eye(3), np.eye(3), np.zeros((3, 3))]])
 
 
@@ -207,9 +243,6 @@ _LIMITS = {
 }
 """The numbers that are searched, with their ranges."""
 _FACTORS = (4.0, 1.7, 1.25)
-_WORTH = 0.5
-"""Twice the logarithm of the likelihood that a step has to gain."""
-_MOST_STEPS = 15
 
 
 def likeliest(start: Noise, scores: Callable[[Sequence[Noise]], F64]) -> Noise:
@@ -238,25 +271,6 @@ def _neighbours(of: Noise, factor: float) -> list[Noise]:
             if low <= size <= high:
                 out.append(of._replace(**{name: size}))
     return out
-
-
-MOUNT, DELAY, GYRO, PAD, LEVEL, READOUT = slice(0, 3), 3, slice(4, 7), slice(7, 10), slice(10, 12), 12
-"""Places of the parameters: the mount (rad, a turn of the camera from its file, in `body`), the delay (s), the gyro's bias
-(rad/s), the pad's attitude (rad), the constant error of the reported roll and pitch (rad, in `body`), and the readout time beyond
-that of the views (s), which stays 0 where they do not say what it does."""
-COUNT = 13
-_MOUNT_PRIOR_RAD, _DELAY_PRIOR_S, _GYRO_PRIOR_RAD_S, _PAD_PRIOR_RAD = 0.5, 0.3, 0.05, 1.0
-_READOUT_PRIOR_S, _READOUT_FIXED_S = 0.05, 1e-6
-_LEVEL_LEAST_RAD = math.radians(0.5)
-"""An attitude that claims less than this for its constant error is not used."""
-_STEPS, _SEARCHED_AT, _GATED_FROM = 8, (2, 4), 1
-_CONVERGED = 1e-5
-_SEARCH_VIEWS = 300
-_BLOCK_S = 4.0
-_OUTLIER_SIGMAS = 5.0
-_RATE_OVER_S = 0.02
-_DELAY_MAX_S = 0.28
-"""Least margin of the gyro's samples before and after the views, s."""
 
 
 class MountFit(Struct, frozen=True, eq=False):

@@ -6,13 +6,14 @@ from companion.tools.doctor.firmware_parameters import names_in
 from companion.tools.doctor.snapshot import Snapshot
 from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, Excess
 
-_SHOWN = 4
-_REFUSED_S, _REFUSED_LONG_S = 1.0, 3.0
+_SHOWN = 4  # entries that are listed
+_REFUSED_S = 1.0  # time for which the filter refuses a measurement that is a warning
+_REFUSED_LONG_S = 3.0  # time for which it does that is an error
 _CLIPPED_MAX = 100
 """Readings at the end of the range that one hard touchdown explains. Source: ArduPilot, "Measuring vibration"."""
-_ARMED_MAX_S = 5.0
-_LOST_MAX = 2
-_DROPOUT_MAX_S = 0.5
+_ARMED_MAX_S = 5.0  # time armed after a landing that is not reported
+_LOST_MAX = 2  # losses of the target that are not reported
+_DROPOUT_MAX_S = 0.5  # time missing in a log that is not reported
 _FIXES = {
     "setpoints lost": "see why the stream stopped (the service's journal at that time), and set COM_OF_LOSS_T 1",
     "remote control": "fly with one in reach, or set what its loss does: NAV_RCL_ACT, COM_RCL_EXCEPT, FS_THR_ENABLE, FS_OPTIONS",

@@ -10,6 +10,8 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 Firmware = tuple[int, int, int]
+_CENTI = 0.01  # factor from hundredths
+_EQUAL = 1e-5  # difference of two values, as a share, up to which they are equal
 
 
 class LaterName(NamedTuple):
@@ -22,7 +24,6 @@ class LaterName(NamedTuple):
 
 
 _46, _47 = (4, 6, 0), (4, 7, 0)
-_CENTI = 0.01
 RENAMED = {
     "GPS_RATE_MS": LaterName("GPS1_RATE_MS", 1.0, _46),
     "LAND_SPEED": LaterName("LAND_SPD_MS", _CENTI, _47),
@@ -160,7 +161,6 @@ _TOUCHES = re.compile(
     r"PSC_|RTL_|SCHED_LOOP|SCR_ENABLE|SYS_HAS_|VTE_|WPNAV_|WP_"
 )
 """The names of parameters that touch modes, time limits, the EKF's sources or loops."""
-_EQUAL = 1e-5
 
 
 def defaults_of(stack: str, firmware: Firmware | None, read: Collection[str] = ()) -> dict[str, float]:

@@ -29,12 +29,12 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 
 _PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
 """The SYS_STATUS bit in which ArduCopter reports precision landing."""
-_ASKING_MAX_S = 30.0
-_VERSION_S = 1.0
+_REQUESTS_MAX_S = 30.0  # longest wait for streams and parameters
+_VERSION_S = 1.0  # longest wait for the version
 _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
-_POLL_S = 0.05
-_FOUND_MAX = 256
+_POLL_S = 0.05  # interval at which a wait is checked
+_FOUND_MAX = 256  # systems that are noted
 _RESTS_S = 3.0
 """Time without a move after which a switch counts as tried, seconds."""
 
@@ -184,9 +184,9 @@ async def _ask(autopilot: Autopilot, notes: Notes, clock: Clock, seconds: float,
 
     await wait_until(clock, _FIRST_ANSWER_S, answered)
     if answered():
-        await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled and streams.settled)
+        await wait_until(clock, _REQUESTS_MAX_S, lambda: parameters.settled and streams.settled)
         parameters.request(earlier_names(parameters.absent))
-        await wait_until(clock, _ASKING_MAX_S, lambda: parameters.settled)
+        await wait_until(clock, _REQUESTS_MAX_S, lambda: parameters.settled)
     if autopilot.condition.armed is False:
         check = mav.MAV_CMD_RUN_PREARM_CHECKS
         autopilot.send(mav.MAVLink_command_long_message(*identity.address, check, 0, 0, 0, 0, 0, 0, 0, 0))

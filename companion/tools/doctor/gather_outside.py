@@ -51,6 +51,14 @@ _COPTER = "ArduCopter"
 _SYSTEM = ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID")
 _ALIKE = 0.8
 """Least likeness of a misspelt word: none of 1,700 real files of ArduCopter's parameters has a name that is taken for another."""
+_NEAR_DECK_S = 10.0
+"""Time before a landing in which targets may end: the pad leaves the picture, and none are sent on the ground."""
+_LARGEST = 3.4e38
+"""An autopilot keeps 32 bits of a value."""
+_FIRST_FRAME_S = 5.0
+"""Longest time until a camera's first frame, seconds."""
+_LONGER = 2.5
+"""Time of listening to the ship, whose receivers report once a second, against that of counting frames."""
 
 
 def examine_log(path: Path) -> Snapshot:
@@ -120,10 +128,6 @@ def _misspelt(read: Mapping[str, float], stack: str) -> dict[str, str]:
     return dict(sorted(out.items()))
 
 
-_NEAR_DECK_S = 10.0
-"""Time before a landing in which targets may end: the pad leaves the picture, and none are sent on the ground."""
-
-
 def _standing(log: AutopilotLog) -> tuple[str, ...]:
     """Return the texts of a log but those of ArduPilot's precision landing that a later one takes back.
 
@@ -146,8 +150,6 @@ _OF_TABLE = re.compile(r"(\d+)\t(\d+)\t")
 _DECIMAL_COMMA = re.compile(r"(?:\d+\s+\d+\s+)?[A-Z]\w*[\s,;=]+\"?-?\d*,\d+(?:[eE][-+]?\d+)?\"?\s*(?:[\t;]\s*\d+\s*)?(?:#|$)")
 _TWO_VALUES = re.compile(r"\w+,\s*Value\b")
 """The head of a table that has another column of numbers behind the value."""
-_LARGEST = 3.4e38
-"""An autopilot keeps 32 bits of a value."""
 _ARDUPILOT_NAMES = re.compile(r"SYSID_|MAV_SYSID|FRAME_CLASS|(INS|EK3|ATC|PSC|PLND|GUID|LAND|WPNAV|ARMING|SERVO\d+|RC\d+)_")
 
 
@@ -211,12 +213,6 @@ def _parameter_in(line: str) -> tuple[str, float | None, bool] | None:
         ours = len(words) <= 3 and (_ARDUPILOT_NAMES.match(words[0]) or _PX4_NAMES.match(words[0]))
         return (words[0], None, False) if ours else None
     return words[0], value if abs(value) <= _LARGEST else None, len(words) > 2
-
-
-_FIRST_FRAME_S = 5.0
-"""Longest time until a camera's first frame, seconds."""
-_LONGER = 2.5
-"""Time of listening to the ship, whose receivers report once a second, against that of counting frames."""
 
 
 async def examine_service(

@@ -22,7 +22,8 @@ _PX4_INTEGERS = frozenset((
     "NAV_DLL_ACT", "NAV_RCL_ACT", "RTL_PLD_MD", "VTE_EN",
 ))  # fmt: skip
 """PX4's parameters of type INT32 among those that rules change: QGroundControl loads a value of its own type alone."""
-_INT32, _REAL32 = 6, 9
+_INT32 = 6  # MAV_PARAM_TYPE_INT32
+_REAL32 = 9  # MAV_PARAM_TYPE_REAL32
 _HOVER_THRUST = {"MOT_THST_HOVER": 0.35}
 """ArduPilot's value before a flight has learnt it."""
 

@@ -11,13 +11,18 @@ PARAMETERS = (
     "SCR_ENABLE", "SCR_HEAP_SIZE", "DKL_ENABLE",
     *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
 )  # fmt: skip
-_EXTERNAL_NAV, _BY_RANGE = 6.0, 2.0
-_BY_MAVLINK, _DOWN, _COMPANION, _KALMAN = 10.0, 25.0, 1.0, 1.0
-_MOVING_TARGET = 1
+_EXTERNAL_NAV = 6.0  # EK3_SRCx: external navigation
+_BY_RANGE = 2.0  # EK3_SRC1_POSZ: rangefinder
+_BY_MAVLINK = 10.0  # RNGFNDx_TYPE: MAVLink
+_DOWN = 25.0  # RNGFNDx_ORIENT and PLND_ORIENT: down
+_COMPANION = 1.0  # PLND_TYPE: companion computer
+_KALMAN = 1.0  # PLND_EST_TYPE: Kalman filter
+_MOVING_TARGET = 1  # bit of PLND_OPTIONS: moving landing target
 _ERROR, _WARNING, _ADVICE = Severity.ERROR, Severity.WARNING, Severity.ADVICE
 _SCRIPT = "configs/autopilot/decklander_disarm.lua"
 _HEAP_MIN = 40_000.0
 """Memory that the script needs, with ArduPilot's own share of it, bytes."""
+_RANGE_HEIGHT = 2.0  # EKF2_HGT_REF: range sensor
 
 
 def _of(p: Snapshot, stack: str) -> AutopilotSnapshot | None:
@@ -270,7 +275,6 @@ PX4_PARAMETERS = (
     "PLD_HACC_RAD", "PLD_BTOUT", "MPC_JERK_AUTO", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL",
     "EKF2_HGT_REF", "MAV_PROTO_VER",
 )  # fmt: skip
-_RANGE_HEIGHT = 2.0
 _LEAVES = {
     3.0: "3 (return): when the service dies it leaves the ship",
     4.0: "4 (land): when the service dies it lands where it is",

@@ -13,15 +13,17 @@ ESSENTIAL = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE")
 """Messages without which the service can neither report to an autopilot nor fly it."""
 _LIMITED_SHARE = 0.1
 """Share of the frames with a pad that may be too dark or too bright at the camera's limits."""
-_GIMBAL_HZ, _GIMBAL_SILENT_HZ = 10.0, 0.5
-"""Rates of a gimbal's reports below which most frames have no report near them, and below which there are no reports."""
-_NO_ANSWER = -1
+_GIMBAL_HZ = 10.0  # rate of a gimbal's reports below which most frames have no report near them
+_GIMBAL_SILENT_HZ = 0.5  # rate below which there are no reports
+_NO_ANSWER = -1  # result of a request that was not answered
 _EXPECTED = {"other_sentence", "other_message", "other_receiver", "other_ship"}
 """Reasons for which reports of a ship are not used, and that are no fault."""
-_LISTED_MAX = 6
+_LISTED_MAX = 6  # systems that are listed
 _JUMP_MIN_S = 1.0  # a restart or a second autopilot makes a greater one, a simulator on a busy machine a smaller
-_REFUSED_MIN, _LATE_MIN = 2, 20
-"""Refused datagrams and late messages that may happen: a peer that starts, a line that stood still for a moment."""
+_REFUSED_MIN = 2  # refused datagrams that may happen: a peer that starts
+_LATE_MIN = 20  # late messages that may happen: a line that stood still for a moment
+_PROMPT = 16
+"""Least bytes that are taken for a console: a prompt has more."""
 
 
 def _open(p: Snapshot) -> list[LinkSnapshot]:
@@ -302,8 +304,6 @@ def _is_console(link: LinkSnapshot) -> bool:
     return link.messages == 0 and link.bytes_in >= _PROMPT and link.text > 0.7 * link.bytes_in
 
 
-_PROMPT = 16
-"""Least bytes that are taken for a console: a prompt has more."""
 _CONSOLE = Row(
     "link-console",
     _ERROR,

@@ -17,7 +17,7 @@ from drivers.mavlink.joined_texts import ARMING_REFUSAL
 # Both stacks return to the place of the take-off over the ground. A ship under way has left it, so a return must end in a
 # hover, in which a person can take over.
 
-_SHOWN = 4
+_SHOWN = 4  # reasons that are listed
 _FIXES = {
     "position estimate": "wait for GNSS under an open sky; on a ship under way see gnss-checks and px4-gnss-checks",
     "health failures": "see the other refusals, and px4-gnss-checks on a ship under way",
@@ -32,6 +32,16 @@ _FIXES = {
     "fence": "it is yours to change: the finding fence says what of it conflicts with a ship",
     "terrain": "switch terrain following off",
 }
+_HOVER_CM = 200.0  # height of a return's hover below which it descends onto what is below
+_HOVER_TO_CM = 500.0  # height that is advised
+_GUIDED_GOES_ON = 1 << 2  # bit of FS_OPTIONS: continue in guided mode
+_OFFBOARD = 1 << 2  # bit of COM_DLL_EXCEPT and COM_RCL_EXCEPT: offboard
+_NO_STICKS = 4.0  # COM_RC_IN_MODE: sticks disabled
+_PX4_RETURN = 2.0  # NAV_RCL_ACT and NAV_DLL_ACT: return
+_CIRCLE = 1 << 1  # bit of FENCE_TYPE: circle around home
+_FLOOR = 1 << 3  # bit of FENCE_TYPE: least altitude
+_FLOOR_MAX_M = -1.0  # FENCE_ALT_MIN above which a landing on a deck is in the way of it
+_HOLDS = 2.0  # least GF_ACTION that acts: hold
 
 
 def arming_refused(p: Snapshot) -> Finding | None:
@@ -75,11 +85,6 @@ _RETURNS = {
 }
 """Values of ArduCopter's failsafe actions that return."""
 _REMOTE_LANDS = {3.0: "land", 5.0: "smart return or land", 7.0: "brake or land"}
-_HOVER_CM, _HOVER_TO_CM = 200.0, 500.0
-_GUIDED_GOES_ON = 1 << 2
-_OFFBOARD = 1 << 2
-_NO_STICKS = 4.0
-_PX4_RETURN = 2.0
 
 
 def _of(p: Snapshot, stack: str) -> AutopilotSnapshot | None:
@@ -154,10 +159,6 @@ def _joystick_only(p: Snapshot) -> bool:
     """Return whether a PX4 takes a station's joystick alone: a station that is lost is a remote control that is lost."""
     a = _of(p, "PX4")
     return a is not None and a.parameters.get("COM_RC_IN_MODE") == 1.0 and _sticks_matter(a)
-
-
-_CIRCLE, _FLOOR, _FLOOR_MAX_M = 1 << 1, 1 << 3, -1.0
-_HOLDS = 2.0
 
 
 def _copter_fence(p: Snapshot) -> tuple[float, str] | None:

@@ -14,6 +14,10 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.requests import wire_value
 from estimator.contracts.time import Clock
 
+_READ_S = 5.0
+"""Longest time for reading one parameter, its repetitions among it, seconds."""
+_TRIES = 3  # times that a value is written
+
 
 class PlannedWrite(Struct, frozen=True, forbid_unknown_fields=True):
     """One parameter to write, with the value that it must have before."""
@@ -53,10 +57,6 @@ def _rounded(value: float) -> float:
     except OverflowError:
         return value
 
-
-_READ_S = 5.0
-"""Longest time for reading one parameter, its repetitions among it, seconds."""
-_TRIES = 3
 
 OnResult = Callable[["WriteResult"], None]
 

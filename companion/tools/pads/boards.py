@@ -30,8 +30,9 @@ FAMILY, BOARD_FILES = "tag36h11", (".json", ".yaml", ".yml")
 """The family where nothing says it; endings of the files."""
 _SHEET = 1.5
 """Side of a sheet whose size is not known, in that which the tags need: far from the border of most, it is not measured."""
-_FLAT_M, _SQUARE, _TURN_DEG = 0.001, 0.01, 0.5
-"""Limits of a tag's distance from the board's plane, of a square's fault in its size, and of its turn from quarters."""
+_FLAT_M = 0.001  # distance of a tag from the board's plane
+_SQUARE = 0.01  # fault of a square, as a share of its size
+_TURN_DEG = 0.5  # turn of a tag from quarters
 
 
 class _Marker(Struct):

@@ -9,6 +9,7 @@ from drivers.confined import confined_task
 from estimator.contracts.errors import BadInput
 
 PX_IN_INCH = 96.0
+"""Pixels of an inch in SVG."""
 
 
 def _render(svg: bytes, *, crisp: bool) -> bytes:

@@ -34,17 +34,19 @@ from estimator.vision.srgb import LINEAR_LIGHT
 from estimator.vision.track.config import IMAGE_WORK
 from estimator.vision.track.register import WORTH_A_TRY
 
-_POINTS, _ACROSS_PX, _APART_PX = 240, 1.5, 4.0
-"""Points on a border, distance from it at which light is compared, and least distance from the next border at other sizes, px."""
-_AGREES, _BARE_AGREES, _SHOWN, _FEWEST = 0.3, 0.06, 0.6, 40
-"""Least step of light at a point, in what the file and the picture's light make of it; the same against an unknown ground, in
-parts of white; share of a border's points that have it where the border shows; and least number of points to say so."""
+_POINTS = 240  # points on a border
+_ACROSS_PX = 1.5  # distance from it at which light is compared
+_APART_PX = 4.0  # least distance from the next border at other sizes
+_AGREES = 0.3  # least step of light at a point, in what the file and the picture's light make of it
+_BARE_AGREES = 0.06  # the same against an unknown ground, in parts of white
+_SHOWN = 0.6  # share of a border's points that have it where the border shows
+_FEWEST = 40  # least number of points to say so
 _SIZES = np.exp(np.linspace(math.log(0.6), math.log(1.7), 71)).tolist()
-_NEAR, _DOUBTED, _BETTER = 0.025, 0.15, 1.15
-"""Sizes at which a border is looked for, in those of the file; how far one may be off that counts as the file's, how far off one
-is looked for that shows at the file's, and by how much more it has to follow the pictures there."""
-_TURNS, _FAINTEST = 72, 0.02
-"""Headings that are tried, and the least light of a picture over that of the file."""
+_NEAR = 0.025  # difference from the file's size that counts as the file's
+_DOUBTED = 0.15  # difference from it at which a border is looked for that shows at the file's
+_BETTER = 1.15  # factor by which a border has to follow the pictures more at another size
+_TURNS = 72  # headings that are tried
+_FAINTEST = 0.02  # least light of a picture over that of the file
 
 
 class Border(Struct, frozen=True, eq=False):

@@ -39,10 +39,37 @@ from estimator.vision.srgb import linear_light
 from estimator.vision.track.config import FRAME_WORK
 from estimator.vision.track.register import WORTH_A_TRY
 
-WIDTH, HEIGHT = 320, 180
+WIDTH = 320
+"""Width of a view, px."""
+HEIGHT = 180
+"""Height of a view, px."""
 VIEWS = 504
 """Number of views that a pad is priced by."""
 _LETTERS = "HXTLIAVENPRO8305"
+_FINE = 512
+"""Points along a side of the drawing."""
+_SHEET = 1.35
+"""Half of the side of a sheet of the ground's paint, in radii of the pad."""
+_TILT_RAD = math.radians(20.0)  # largest tilt of a view
+FRAMES = 4.0
+"""Factor from places in one view to places in a frame of 640x360; twice that for a pad whose light may be reversed."""
+_EACH = 6
+"""Views that the pad is planted in at each size."""
+_FOUND = 0.8
+"""Share of those in which it has to be found."""
+_ALL = 1e-6
+"""Least support of a drawing if all finds count."""
+_TOP = 0.06  # share of the views whose log-odds show how fast they fall
+_LEAST_SCALE = 0.7  # the least fall: so few views do not show less
+_BY_COUNT = 0.01
+"""Least share of the views that may be the pad, over that which was counted: the fall is not followed farther."""
+_DOUBTED = -1.0
+"""Log-odds of a find's edges and light from which it counts as one that might be the pad."""
+_CLEAR_PX = 28.0  # radius of a pad that is seen clearly
+_MISSED = 0.2  # share of such pads whose supports are below that from which the required one follows
+_BELOW = 0.6  # largest required support, as a share of that one
+_CANDIDATES = 2  # candidates of a view that are verified
+_DECK_RAD = math.radians(2.0)  # standard deviation of the deck's tilt
 
 
 def view(number: int) -> U8:
@@ -221,11 +248,6 @@ _KINDS: tuple[Callable[[np.random.Generator], F32], ...] = (_sea, _deck, _grass,
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
-_FINE = 512
-"""Points along a side of the drawing."""
-_SHEET = 1.35
-"""Half of the side of a sheet of the ground's paint, in radii of the pad."""
-_TILT_RAD = math.radians(20.0)
 
 
 @lru_cache(maxsize=4)
@@ -276,27 +298,10 @@ def planted(px: U8, camera: Camera, pad: Pad, pose: PadPose, rng: np.random.Gene
     return np.asarray(np.clip(255.0 * np.clip(out, 0.0, 1.0) ** (1.0 / 2.2) + noise, 0, 255), np.uint8)
 
 
-FRAMES = 4.0
-"""Factor from places in one view to places in a frame of 640x360; twice that for a pad whose light may be reversed."""
 MOUNT = Transform(Rotation.from_rpy(0.0, 0.0, 0.5 * math.pi), np.zeros(3))
 CAMERA = Camera(WIDTH, HEIGHT, 0.8 * WIDTH, 0.8 * WIDTH, 0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1), np.zeros(5), MOUNT)
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.001, "sim")
 _RADII_PX = (5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0, 60.0)
-_EACH = 6
-"""Views that the pad is planted in at each size."""
-_FOUND = 0.8
-"""Share of those in which it has to be found."""
-_ALL = 1e-6
-"""Least support of a drawing if all finds count."""
-_TOP, _LEAST_SCALE = 0.06, 0.7
-"""Share of the views whose log-odds show how fast they fall, and the least of that: so few views do not show less."""
-_BY_COUNT = 0.01
-"""Least share of the views that may be the pad, over that which was counted: the fall is not followed farther."""
-_DOUBTED = -1.0
-"""Log-odds of a find's edges and light from which it counts as one that might be the pad."""
-_CLEAR_PX, _MISSED, _BELOW = 28.0, 0.2, 0.6
-"""Radius of a pad that is seen clearly, and the largest required share of the weakest support among them."""
-_CANDIDATES, _DECK_RAD = 2, math.radians(2.0)
 _TAKEN_PX = (24.0, 48.0)
 """Radii of other pads that the pad is looked for in."""
 

@@ -45,7 +45,34 @@ _UNREAD = {
 _STYLES = r"(?<![\w-])(?:(?:c?[xy]|r[xy]?|d|width|height|translate|rotate|scale)\s*:|transform\s*:[^;]*\d(?:deg|px|turn|rad|%))"
 _FUNCTIONS = r"\b(?:var|calc|path|circle|inset|ellipse|polygon|color|(?:ok)?l(?:ab|ch)|hwb)\("
 """Styles that resvg leaves out: sizes and places, turns with units, shapes and colours of CSS alone."""
-_COLOURS_MOST = 16
+_COLOURS_MOST = 16  # colours of a drawing that are told apart
+ACROSS_PX = 3000
+"""Extent of what is drawn in a picture that is made of a drawing, px."""
+_ROUND = 0.006  # greatest scatter of a circle's radius, over it
+_CONCENTRIC = 0.01  # greatest distance of a circle's centre from the pad's, over the radius
+_THINNEST = 0.45
+"""Least inner radius of a ring over its outer one: what is narrower within is a disc with a hole in it."""
+_GAP = 0.2  # bare share of what lies between a ring and an arrowhead that is apart from it
+_OTHER = 0.2  # bare share of an arrowhead that is another shape
+_LEAST_AREA = 1e-4
+"""Least area of a part over that of all that is painted: less is a speck."""
+_CORNERS_MOST = 60  # corners of a traced outline
+_CHANGE_MOST = 0.02
+"""Greatest change of a part's area by leaving out corners, over the area."""
+_PHOTO_PX = 700.0
+"""Larger side of a rectified photograph, px."""
+_SPECK_PX = 9
+"""Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
+_LOST_MOST = 0.02
+"""Greatest share of the paint of a photograph that is cut by its edge: creases and shadows along a sheet's edge are less."""
+_UNLIKE = 1 / 150  # width, in the whole, of the widest difference between a pad and the picture that it is traced from
+_SIZE_OFF = 0.005  # greatest difference of sizes that is no reason to scale it
+_MARGIN = 0.4
+"""Margin of the search around the rectangle of a photograph, in its larger side."""
+_SHEET_MARGIN = -0.02
+"""Margin of a sheet, all around: its curled edge and what lies beyond are not traced."""
+_FIRST_OFF = 0.0012  # first deviation of a traced side over the pad's radius
+_GROWS = 1.35  # its growth until the sides are few enough
 
 
 class SvgDrawing(Struct, frozen=True):
@@ -140,36 +167,6 @@ def _check_elements(root: Element, where: str) -> None:
         for link in [*links, *re.findall(r"url\(\s*['\"]?([^)'\"]*)", values)]:
             if not (link.startswith("#") and link[1:].strip() in names):
                 raise BadInput(f"{where}: <{tag}> refers to {link!r}, which is not in the drawing: draw it in its place")
-
-
-ACROSS_PX = 3000
-"""Extent of what is drawn in a picture that is made of a drawing, px."""
-_ROUND, _CONCENTRIC = 0.006, 0.01
-"""Greatest scatter of a circle's radius, and distance of its centre from the pad's, over the radius."""
-_THINNEST = 0.45
-"""Least inner radius of a ring over its outer one: what is narrower within is a disc with a hole in it."""
-_GAP, _OTHER = 0.2, 0.2
-"""Bare share of what lies between a ring and an arrowhead that is apart from it, and of an arrowhead that is another shape."""
-_LEAST_AREA = 1e-4
-"""Least area of a part over that of all that is painted: less is a speck."""
-_CORNERS_MOST = 60
-_CHANGE_MOST = 0.02
-"""Greatest change of a part's area by leaving out corners, over the area."""
-_PHOTO_PX = 700.0
-"""Larger side of a rectified photograph, px."""
-_SPECK_PX = 9
-"""Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
-_LOST_MOST = 0.02
-"""Greatest share of the paint of a photograph that is cut by its edge: creases and shadows along a sheet's edge are less."""
-_UNLIKE, _SIZE_OFF = 1 / 150, 0.005
-"""Width, in the whole, of the widest difference between a pad and the picture that it is traced from; and the greatest one of
-sizes that is no reason to scale it."""
-_MARGIN = 0.4
-"""Margin of the search around the rectangle of a photograph, in its larger side."""
-_SHEET_MARGIN = -0.02
-"""Margin of a sheet, all around: its curled edge and what lies beyond are not traced."""
-_FIRST_OFF, _GROWS = 0.0012, 1.35
-"""First deviation of a traced side over the pad's radius, and its growth until the sides are few enough."""
 
 
 class Picture(Struct, frozen=True):

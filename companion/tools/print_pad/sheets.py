@@ -20,12 +20,17 @@ from estimator.vision.pad.shapes import PaintedDisc
 Rgb = tuple[int, int, int]
 BLACK: Rgb = (0, 0, 0)
 _DARK: Rgb = (40, 40, 40)
-_SURROUND, _PAPER = 1.25, 225
-"""Half of the side of what is printed around a pad, in its radii, and the least channel of a paint that paper has."""
+_SURROUND = 1.25  # half of the side of what is printed around a pad, in its radii
+_PAPER = 225  # least channel of a paint that paper has
 _MARK_MM = 1.5
 """Radius of the mark at a lamp's middle."""
 _RING_POINTS = 720
 """Corners of a printed circle of a ring: at a radius of a metre they stand out by a hundredth of a millimetre."""
+RULER_MM = 100.0
+"""Length of the ruler that shows whether a print has its size."""
+_PT = 72.0 / 25.4  # points of a millimetre
+_EIGHTH = 4.0 / 3.0 * math.tan(math.pi / 16.0)
+"""Length of a Bezier handle for an eighth of a circle of radius 1; the curve leaves the circle by 4e-6 of the radius."""
 
 
 class Polygon(Struct, frozen=True, eq=False):
@@ -115,8 +120,6 @@ def touches(shape: Shape, left: float, top: float, right: float, bottom: float) 
 Paper = Literal["a4", "a3", "full"]
 PAPERS: dict[str, tuple[float, float]] = {"a4": (210.0, 297.0), "a3": (297.0, 420.0)}
 """Width and height in mm (ISO 216), upright."""
-
-RULER_MM = 100.0
 
 
 class MarkLine(Struct, frozen=True):
@@ -262,11 +265,6 @@ def _colour(rgb: Rgb) -> str:
 
 def _n(value: float) -> str:
     return f"{value:.5f}".rstrip("0").rstrip(".")
-
-
-_PT = 72.0 / 25.4
-_EIGHTH = 4.0 / 3.0 * math.tan(math.pi / 16.0)
-"""Length of a Bezier handle for an eighth of a circle of radius 1; the curve leaves the circle by 4e-6 of the radius."""
 
 
 def pdf(drawing: Drawing, sheets: list[Sheet]) -> bytes:

@@ -18,10 +18,10 @@ from estimator.ship_motion import between, wander
 
 _MINUTE_S = 60.0
 """Time over which a heave is judged, as in flight."""
-_FEWEST = 20
+_FEWEST = 20  # reports from which on a figure is given
 _GAP = 3.0
 """A gap is longer than so many of a sensor's usual intervals."""
-_LAG_MAX_S = 0.95
+_LAG_MAX_S = 0.95  # longest delay that is searched
 _LAGS_S = np.arange(-1.0, 1.001, 0.02)
 
 _HEAVE, _PLACE = "heave", "place"

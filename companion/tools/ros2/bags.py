@@ -34,6 +34,10 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 
 _METADATA_VERSION: Final = 8
 """Version that ROS 2 Humble and everything later reads; the newer 9 is that of Jazzy."""
+_LATEST_NS: Final = 5 * NS_PER_S
+"""A header whose stamp is older than this when its message is written is of another clock."""
+_LOOK = 200  # messages at a topic's begin by which it is judged
+_UPRIGHT = math.cos(math.radians(35.0))  # least share of their mean force that points up in the body's axes
 
 
 def export(recording: Recording, folder: Path) -> dict[str, int]:
@@ -112,15 +116,11 @@ def _kept() -> Any:
     )  # fmt: skip
 
 
-_LATEST_NS: Final = 5 * NS_PER_S
-"""A header whose stamp is older than this when its message is written is of another clock."""
 _DOWN = ("down", "rangefinder", "altimeter")
 """Names in the topic or frame of a range sensor that looks down; the message itself has no direction."""
 _ANY = Stamp(MonoNs(0), MonoNs(0), SIGMA_S, "synced")
 _BODIES = ("", "base_link", "base_footprint")
 """Frames of the body's own axes, and that of a message that names none."""
-_LOOK, _UPRIGHT = 200, math.cos(math.radians(35.0))
-"""Messages at a topic's begin by which it is judged, and the least share of its mean force that points up in the body's axes."""
 _BAGS = (".db3", ".mcap", ".bag")
 _MADE = re.compile(
     r"rect|undistort|scaled|resize|detect|debug|overlay|annotat|result|track|draw|marker|mask|segment|label|output|stitch"

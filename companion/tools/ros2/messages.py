@@ -41,6 +41,18 @@ UP = np.diag([1.0, -1.0, -1.0])
 ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 R_BODY_BEAM = Rotation.from_rpy(0.0, 0.5 * math.pi, 0.0)
 """The rotation from `range_down` to `base_link`: the beam's x axis points down."""
+_SECONDS_MAX = 2**31 - 1  # largest time of a message, s
+_INFO = 20  # level of rcl_interfaces/Log
+_OK = 0  # level of diagnostic_msgs/DiagnosticStatus
+_ERROR = 2  # level of diagnostic_msgs/DiagnosticStatus
+_JPEG_QUALITY = 90  # quality of a picture, percent
+_FIX = 0  # status of sensor_msgs/NavSatStatus
+_GPS = 1  # service of sensor_msgs/NavSatStatus
+_DIAGONAL_KNOWN = 2  # kind of sensor_msgs/NavSatFix's covariance
+_CYLINDER = 3  # type of visualization_msgs/Marker
+_LINE_LIST = 5  # type of visualization_msgs/Marker
+_CONE_M = 5.0  # height of the cone that is drawn
+_CONE_LINES = 16  # number of its lines
 
 
 def enu_attitude(R_ned_body: Rotation) -> Rotation:
@@ -101,13 +113,6 @@ Message = tuple[str, str, int, Any]
 _Topic = tuple[str, Any]
 """Topic and message."""
 _NOT_GIVEN = np.array([-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-_SECONDS_MAX = 2**31 - 1
-_INFO, _OK, _ERROR = 20, 0, 2
-_JPEG_QUALITY = 90
-_FIX, _GPS, _DIAGONAL_KNOWN = 0, 1, 2
-_CYLINDER, _LINE_LIST = 3, 5
-_CONE_M, _CONE_LINES = 5.0, 16
-"""Height of the cone that is drawn, and the number of its lines."""
 
 
 class RosMessages:

@@ -25,10 +25,13 @@ from drivers.ros2 import Request, RosNode, typestore
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import Clock
 
-_AGAIN_S = 1.0
-_ALIVE_S = 4.0
-_BYTES_MAX = 1 << 24
-_CHANNELS_MAX = 1000
+_AGAIN_S = 1.0  # time to the next attempt to connect
+_ALIVE_S = 4.0  # interval of pings to the service; half of it without an answer ends the connection
+_BYTES_MAX = 1 << 24  # longest message of the service
+_CHANNELS_MAX = 1000  # channels that it may offer
+_LATE_S = 5.0
+"""Age from which a begin or a stay is refused: it may have waited in a network that was away."""
+_EACH_SECOND_MOST = 10  # requests that are passed on in a second
 
 
 class _Channel(Struct, frozen=True):
@@ -195,9 +198,6 @@ class RosBridge:
 
 ORDERS = {order.value: order for order in (OperatorOrder.BEGIN, OperatorOrder.HOLD, OperatorOrder.STAY, OperatorOrder.ABORT)}
 """Orders by the name of their topic (std_msgs/Empty) and service (std_srvs/Trigger)."""
-_LATE_S = 5.0
-"""Age from which a begin or a stay is refused: it may have waited in a network that was away."""
-_EACH_SECOND_MOST = 10
 
 
 class RosOrders:
