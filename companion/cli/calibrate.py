@@ -22,7 +22,6 @@ from companion.cli.outputs import CAMERA_FILE, EXPORTED, FIGURES, check_output, 
 from companion.settings.load import write_whole
 from companion.tools.calibrate.board import BOARDS, Board, Collection
 from companion.tools.calibrate.camera_file import FOREIGN, foreign, text
-from companion.tools.calibrate.flight_result import of_distance
 from companion.tools.calibrate.guide import (
     GRADES,
     Assessment,
@@ -35,6 +34,7 @@ from companion.tools.calibrate.guide import (
     watch,
 )
 from companion.tools.calibrate.solve import LEAST_VIEWS, LensChoice, Solution, solve
+from companion.tools.calibrate.touchdown_cost import of_distance
 from drivers.camera.images import PICTURES
 from drivers.camera.options import FORMATS, CameraOptions, Size, check_size
 from estimator.contracts.address import guarded

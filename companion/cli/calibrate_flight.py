@@ -24,6 +24,7 @@ from companion.settings.load import load, read_text, response_model, shipped, sh
 from companion.settings.model import in_file
 from companion.tools.calibrate import flight_result as results
 from companion.tools.calibrate.flight_views import FlownCourses, flight_views, flown_courses
+from companion.tools.calibrate.touchdown_cost import ResponseCost, TouchdownCost, tilt_of_file, tilt_of_sigma
 from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, file_errors, refused
 
@@ -76,7 +77,7 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
         assert courses.tilt is not None
         write_response(args.plot, recording.name, courses, tilt, climb)
     loops = {"by_the_given": margins(start.tilt, tilt.response), "by_the_identified": margins(tilt.response)}
-    costs = results.tilt_of_file(start.tilt, tilt.response), results.tilt_of_sigma(tilt.response, tilt.cov)
+    costs = tilt_of_file(start.tilt, tilt.response), tilt_of_sigma(tilt.response, tilt.cov)
     record = _record(tilt, climb) | {"loop": {name: _loop_record(loop) for name, loop in loops.items()}}
     record |= {"cost_was_cm": _finite(costs[0].cost_cm), "cost_sigma_cm": _finite(costs[1].cost_cm)}
     record |= {"chi2_of_given": _apart(start.tilt, tilt), "cut": {str(p): why for p, why in recording.cut.items()}}
@@ -125,7 +126,7 @@ def _lines(
     tilt: TiltFit,
     climb: ClimbFit | None,
     loops: dict[str, LoopMargins],
-    costs: tuple[results.ResponseCost, results.ResponseCost],
+    costs: tuple[ResponseCost, ResponseCost],
 ) -> list[str]:
     t = tilt.response
     out = [
@@ -158,7 +159,7 @@ def _lines(
     return out
 
 
-def _cost_of_response(was: results.ResponseCost, now: results.ResponseCost) -> str:
+def _cost_of_response(was: ResponseCost, now: ResponseCost) -> str:
     before = f"{was.cost_cm:.1f} cm at touchdown by the given response ({was.error_cm:.2f} cm rms instead of {was.own_cm:.2f})"
     if not math.isfinite(was.error_cm):
         before = "the loop by the given response is unstable"
@@ -426,14 +427,14 @@ def _say(args: argparse.Namespace, of: results.MountResult, why: str | None, lin
     return 0 if why is None else 1
 
 
-def _cost_line(was: results.TouchdownCost, now: results.TouchdownCost) -> str:
+def _cost_line(was: TouchdownCost, now: TouchdownCost) -> str:
     return (
         f"cost   {was.touchdown_cm:.1f} cm at touchdown ({was.approach_cm:.1f} cm at 3 m) as it was, {now.touchdown_cm:.2f} cm "
         f"({now.approach_cm:.1f} cm) for one sigma of what is left"
     )
 
 
-def _cost_record(was: results.TouchdownCost, now: results.TouchdownCost) -> dict[str, object]:
+def _cost_record(was: TouchdownCost, now: TouchdownCost) -> dict[str, object]:
     return {"cost_was_cm": was.touchdown_cm, "cost_sigma_cm": now.touchdown_cm}
 
 

@@ -11,7 +11,7 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.settings.load import camera_model
 from companion.settings.model import Settings
 from companion.tools.calibrate.flight_views import FlightViews
-from companion.tools.calibrate.mount_fit import exp, exps, interpolated, logs, transposed
+from companion.tools.calibrate.gyro_attitude import exp, exps, interpolated, logs, transposed
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import F64, Rotation, Transform
 from estimator.contracts.samples import Attitude, Frame, Imu

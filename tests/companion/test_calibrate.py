@@ -19,7 +19,8 @@ from companion.settings.model import CameraSettings, Settings
 from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.flight_result import flight_result
 from companion.tools.calibrate.guide import Guide, GuideState, assess, missing_before, watch
-from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, exp, exps, fit_mount
+from companion.tools.calibrate.gyro_attitude import exp, exps
+from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
 from companion.tools.calibrate.solve import distance_errors, solve
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable

@@ -18,7 +18,7 @@ import pytest
 from companion.cli.main import main
 from companion.tools.calibrate import guide
 from companion.tools.pads import foreign
-from companion.tools.pads.trace import read_svg
+from companion.tools.pads.svg import read_svg
 from drivers.confined import in_child
 from drivers.files import Largest, bytes_of, opened, refuse_special, seen_in
 from estimator.contracts.errors import BadInput

@@ -14,7 +14,7 @@ from companion.guidance.law.margins import margins
 from companion.guidance.law.response_fit import STEP_S, FlightCourse, TiltFit, fit_climb, fit_tilt, text
 from companion.settings.guidance import ClimbResponse, Response, TiltResponse, response_from_mapping
 from companion.settings.load import shipped_response
-from companion.tools.calibrate.flight_result import ResponseCost, tilt_of_file, tilt_of_sigma
+from companion.tools.calibrate.touchdown_cost import ResponseCost, tilt_of_file, tilt_of_sigma
 from estimator.contracts.commands import Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation

@@ -2,16 +2,12 @@
 
 The picture has one paint a pixel. What is round about the centre becomes disc, rim or ring; all else becomes polygons, with holes
 where what lies below shows, of as few corners as the registration measures.
-
-resvg draws what an SVG paints. What it would leave out, and what is not of plain colours, is refused with what to do.
 """
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from itertools import compress, pairwise
 from typing import Any, NamedTuple
-from xml.etree.ElementTree import Element, ParseError, fromstring, tostring
 
 import cv2
 import msgspec
@@ -19,9 +15,8 @@ import numpy as np
 from msgspec import Struct, convert, structs
 from numpy.typing import NDArray
 
-from companion.tools.pads import foreign
-from drivers.confined import in_child
-from estimator.contracts.errors import BadInput, refused
+from companion.tools.pads.svg import SvgDrawing
+from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.pad.file import SMALLEST_M, check_polygon, is_simple
 from estimator.vision.pad.markings import Rgb
@@ -29,22 +24,6 @@ from estimator.vision.pad.rules import SIDES_MOST
 from estimator.vision.pad.shapes import PaintedPolygon, Region, borders_of, circle
 
 U8 = NDArray[np.uint8]
-_PX = {"": 1.0, "px": 1.0, "in": 96.0, "cm": 96 / 2.54, "mm": 96 / 25.4, "q": 24 / 25.4, "pt": 96 / 72, "pc": 16.0}
-"""Px of a unit of length."""
-_SVG = "{http://www.w3.org/2000/svg}"
-_TAGS = re.compile(
-    "svg|g|defs|symbol|use|path|rect|circle|ellipse|line|polyline|polygon|title|desc|metadata|style|switch|a|view|clipPath|mask|"
-    "marker|pattern|linearGradient|radialGradient|stop|filter|fe[A-Z].*"
-)
-_CURES = {"text": "convert it to paths in the drawing program", "image": "trace it, or import the picture itself"}
-_UNREAD = {
-    r"@(?!charset|namespace|font-face)[\w-]+": "the rule",
-    r"[^{}]*(?::(?!hover|first-child)[\w-]+|[+~])[^{}]*(?=\{)": "the selector",
-}
-"""Parts of style sheets that resvg leaves out."""
-_STYLES = r"(?<![\w-])(?:(?:c?[xy]|r[xy]?|d|width|height|translate|rotate|scale)\s*:|transform\s*:[^;]*\d(?:deg|px|turn|rad|%))"
-_FUNCTIONS = r"\b(?:var|calc|path|circle|inset|ellipse|polygon|color|(?:ok)?l(?:ab|ch)|hwb)\("
-"""Styles that resvg leaves out: sizes and places, turns with units, shapes and colours of CSS alone."""
 _COLOURS_MOST = 16  # colours of a drawing that are told apart
 ACROSS_PX = 3000
 """Extent of what is drawn in a picture that is made of a drawing, px."""
@@ -59,114 +38,10 @@ _LEAST_AREA = 1e-4
 _CORNERS_MOST = 60  # corners of a traced outline
 _CHANGE_MOST = 0.02
 """Greatest change of a part's area by leaving out corners, over the area."""
-_PHOTO_PX = 700.0
-"""Larger side of a rectified photograph, px."""
-_SPECK_PX = 9
-"""Width of what is not traced in a rectified photograph, px: it is less than a pixel from some metres away."""
-_LOST_MOST = 0.02
-"""Greatest share of the paint of a photograph that is cut by its edge: creases and shadows along a sheet's edge are less."""
 _UNLIKE = 1 / 150  # width, in the whole, of the widest difference between a pad and the picture that it is traced from
 _SIZE_OFF = 0.005  # greatest difference of sizes that is no reason to scale it
-_MARGIN = 0.4
-"""Margin of the search around the rectangle of a photograph, in its larger side."""
-_SHEET_MARGIN = -0.02
-"""Margin of a sheet, all around: its curled edge and what lies beyond are not traced."""
 _FIRST_OFF = 0.0012  # first deviation of a traced side over the pad's radius
 _GROWS = 1.35  # its growth until the sides are few enough
-
-
-class SvgDrawing(Struct, frozen=True):
-    """A drawing that holds nothing but what is read."""
-
-    markup: str
-    """The drawing as an <svg> within another, px."""
-    width: float
-    height: float
-    """The sheet from (0, 0), px."""
-    px_mm: float | None
-    """Millimetres in a px; None if the file does not say it."""
-    where: str
-    """The file, for errors."""
-
-    def rendered(self, left: float, top: float, size_px: tuple[int, int], scale: float, *, crisp: bool) -> U8:
-        """Return a part of the sheet, (H, W, 4) BGRA, `scale` px to one of the sheet; a crisp one is blended at no border.
-
-        Raises:
-            BadInput: resvg cannot draw it, or not within the bounds of `in_child`.
-        """
-        w, h = size_px
-        box = f"{left} {top} {w / scale} {h / scale}"
-        around = f'<svg xmlns="{_SVG[1:-1]}" width="{w}" height="{h}" viewBox="{box}">{self.markup}</svg>'
-        png = in_child(foreign.__name__, "crisp" if crisp else "blended", around.encode(), self.where)
-        image = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
-        x, y, right, bottom = np.rint(scale * np.maximum(0.0, (-left, -top, self.width - left, self.height - top))).astype(int)
-        image[:y], image[bottom:], image[:, :x], image[:, right:] = 0, 0, 0, 0
-        return image
-
-
-def read_svg(text: str, where: str) -> SvgDrawing:
-    """Return a drawing.
-
-    Raises:
-        BadInput: it is no SVG, it is too large, or it holds what is not read.
-    """
-    if "<!ENTITY" in text:
-        raise BadInput(f"{where}: a drawing has no entities: save it as plain SVG")
-    with refused(f"{where}: no SVG drawing", ParseError, ValueError):
-        root = fromstring(text)
-    if root.tag not in ("svg", _SVG + "svg"):
-        raise BadInput(f"{where}: no SVG drawing: its root is no <svg>")
-    _check_elements(root, where)
-    if "<?xml-stylesheet" in text:
-        raise BadInput(f"{where}: the drawing has a style sheet in another file: save it as plain SVG")
-    with refused(f"{where}: no SVG drawing: viewBox", ValueError):
-        box = [float(v) for v in root.get("viewBox", "").replace(",", " ").split()]
-    sizes = {key: _length_px(root.get(key, "")) for key in ("width", "height")}
-    across, along = box[2:] if len(box) == 4 and min(box[2:]) > 0.0 else (0.0, 0.0)
-    known = max((v / of for v, of in zip(sizes.values(), (across, along), strict=True) if v and of), default=1.0)
-    width, height = sizes["width"] or known * across, sizes["height"] or known * along
-    if not (0.0 < width < 1e6 and 0.0 < height < 1e6):
-        raise BadInput(f"{where}: the drawing has no size: give it a viewBox")
-    measured = any(re.search(r"(?i)\d(mm|cm|q|in|pt|pc)\s*$", root.get(key, "")) for key in sizes)
-    # resvg would blend the last pixels of a sheet that ends between two, and takes as long for that as for the rest.
-    root.attrib.update(width=f"{width}", height=f"{height}", x="0", y="0", overflow="visible")
-    with refused(f"{where}: its groups are nested too deep", RecursionError):
-        markup = tostring(root, encoding="unicode")
-    return SvgDrawing(markup, width, height, 25.4 / foreign.PX_IN_INCH if measured else None, where)
-
-
-def _length_px(text: str) -> float | None:
-    found = re.fullmatch(r"\s*\+?([\d.]+(?:e[-+]?\d+)?)\s*([a-z]*)\s*", text.lower())
-    return float(found[1]) * _PX[found[2]] if found and found[2] in _PX else None
-
-
-def _check_elements(root: Element, where: str) -> None:
-    """Check that all is read that a drawing holds, and put what has no name space into that of SVG.
-
-    Raises:
-        BadInput: it is not.
-    """
-    names = {element.get("id") for element in root.iter()}
-    for element in root.iter():
-        space, _, tag = str(element.tag).rpartition("}")
-        element.tag = element.tag if space else _SVG + tag
-        if space in ("", _SVG[:-1]) and not _TAGS.fullmatch(tag):
-            of = next((name for name in _CURES if tag.startswith(name) or tag in ("tspan", "flowRoot")), tag)
-            raise BadInput(f"{where}: the drawing has {of} (<{tag}>): {_CURES.get(of, 'take it out, or save it as plain SVG')}")
-        sheet = re.sub(r"(?s)/\*.*?\*/", "", element.text or "") if tag == "style" else ""
-        for unread, what in _UNREAD.items():
-            if found := re.search(unread, sheet):
-                raise BadInput(
-                    f"{where}: its style sheet has {what} {found[0].strip()!r}: save it as plain SVG, without style sheets"
-                )
-        values = " ".join((sheet, *element.attrib.values()))
-        written = f"{sheet};{element.get('style', '')}"
-        if found := re.search(_FUNCTIONS, values) or re.search(_STYLES, written):
-            raise BadInput(f"{where}: <{tag}> has {found[0]!r}: save it as plain SVG")
-        links = [] if tag == "a" else [v for key, v in element.attrib.items() if key.rpartition("}")[2] == "href"]
-        for link in [*links, *re.findall(r"url\(\s*['\"]?([^)'\"]*)", values)]:
-            if not (link.startswith("#") and link[1:].strip() in names):
-                raise BadInput(f"{where}: <{tag}> refers to {link!r}, which is not in the drawing: draw it in its place")
 
 
 class Picture(Struct, frozen=True):
@@ -235,12 +110,12 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
     low, high_px = np.array([(x, y), (x + across_px, y + along_px)], float)
     across = float((high_px - low).max())
     fills = bool(np.all(np.abs((high_px - low) / scale - (drawing.width, drawing.height)) < 0.01 * max(wide, high)))
-    edge = _edge(image[y : y + along_px, x : x + across_px])
+    edge = edge_of(image[y : y + along_px, x : x + across_px])
     ground, middle, known = 0, None, True
     if fills and np.count_nonzero(edge) > 0.998 * len(edge):
         ground, middle = int(np.bincount(edge).argmax()), 0.5 * (low + high_px - 1.0)
         image[image == 0] = ground
-        alone = _extent(image != ground) or across
+        alone = extent_px(image != ground) or across
         if size_m is not None and extent is None and alone < 0.98 * across:
             raise BadInput(
                 f"{where}: the sheet is painted up to its edge: --size-mm {1000.0 * size_m:g} may be its size, or that of what "
@@ -264,91 +139,8 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
     return Picture(image, tuple(paints), px_per_m, ground, middle=middle, is_known=known, size_m=size_m)
 
 
-def fault_of(corners_px: F64) -> str | None:
-    """Return what is wrong with four corners, (4, 2) px, that shall be a rectangle's; None if nothing is."""
-    line, order = corners_px.astype(np.float32), "fore left, fore right, aft right, aft left"
-    if not cv2.isContourConvex(line) or cv2.contourArea(line) < 400.0:
-        return f"are not those of a rectangle: give {order}"
-    if cv2.contourArea(line, oriented=True) < 0.0:
-        return f"run against the clock, which would mirror the pad: give {order}"
-    return None
-
-
-def photographed(
-    px: U8, corners_px: F64 | None, size_m: tuple[float, float], paints: int, where: str, *, sheet: bool = False
-) -> Picture:
-    """Return a photograph of a pad as a picture.
-
-    Args:
-        corners_px: (4, 2) the corners of a rectangle on the pad's plane: fore left, fore right, aft right, aft left; None for a
-            photograph from straight above.
-        size_m: the rectangle's width and length; without one the largest extent of what is painted.
-        paints: how many paints there are, that of the ground among them.
-        sheet: whether the rectangle is the sheet that the pad is printed on, and nothing beyond it is painted.
-
-    Raises:
-        BadInput: the corners are no rectangle that a camera sees.
-    """
-    if corners_px is not None:
-        if fault := fault_of(corners_px):
-            raise BadInput(f"{where}: --corners {fault}")
-        scale = _PHOTO_PX / max(size_m)
-        w, h = scale * size_m[0], scale * size_m[1]
-        aside = (_SHEET_MARGIN if sheet else _MARGIN) * max(w, h)
-        to = np.array([(0, 0), (w, 0), (w, h), (0, h)], np.float32) + np.float32(aside)
-        H = cv2.getPerspectiveTransform(corners_px.astype(np.float32), to)
-        size = round(w + 2 * aside), round(h + 2 * aside)
-        px = np.asarray(cv2.warpPerspective(px, H, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.uint8)
-    else:
-        shrunk = _PHOTO_PX / max(px.shape[:2])
-        px = np.asarray(cv2.resize(px, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA), np.uint8)
-        scale = aside = 0.0
-    smooth = cv2.medianBlur(cv2.bilateralFilter(px, 9, 40.0, 5.0), 5)
-    colours = smooth.reshape(-1, 3).astype(np.float32)
-    cv2.setRNGSeed(47)
-    some = colours[:: max(1, len(colours) // 40_000)]
-    until = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 0.2
-    _, _, means = cv2.kmeans(some, paints, np.zeros((len(some), 1), np.int32), until, 6, cv2.KMEANS_PP_CENTERS)
-    nearest = np.linalg.norm(colours[:, None] - means[None], axis=2).argmin(axis=1).astype(np.uint8).reshape(px.shape[:2])
-    image = np.asarray(cv2.medianBlur(nearest, _SPECK_PX), np.uint8)
-    rgb: list[Rgb] = [(round(r), round(g), round(b)) for b, g, r in means.tolist()]
-    ground = int(np.bincount(_edge(image)).argmax())
-    whole = image.copy()
-    _clear_edges(image, ground)
-    around = max(0, round(aside))
-    inside = np.s_[around : px.shape[0] - around, around : px.shape[1] - around]
-    lost = float(np.mean((whole != image)[inside]) / max(1e-9, np.mean((whole != ground)[inside])))
-    cut = f" without {-1000.0 * _SHEET_MARGIN * max(size_m):.0f} mm on each side, where sheets curl," if sheet else ""
-    if lost > _LOST_MOST:
-        edge = "picture" if corners_px is None else "rectangle" if sheet else "picture around the rectangle"
-        raise BadInput(
-            f"{where}: what is painted reaches the edge of the {edge}{cut} and {100.0 * lost:.0f} % of the paint would be left "
-            "out: give a rectangle or picture that reaches further out, leave --sheet away, or give another number of --paints"
-        )
-    if corners_px is not None and not sheet and any(_surrounds(whole == n, whole != image) for n in range(paints)):
-        raise BadInput(
-            f"{where}: paint goes around the rectangle of --corners and would be left out: give one that holds all of the pad"
-        )
-    extent_m = max(size_m) if corners_px is None else None
-    scale = scale or max(1.0, _extent(image != ground)) / max(size_m)
-    return Picture(image, tuple(rgb), scale, ground, _SPECK_PX, size_m=extent_m)
-
-
-def _surrounds(paint: NDArray[np.bool_], cleared: NDArray[np.bool_]) -> bool:
-    """Return whether what was cleared of a paint lies around the picture's middle."""
-    at, middle = np.argwhere(paint & cleared).astype(np.int32), 0.5 * np.array(paint.shape)
-    return len(at) > 0 and cv2.pointPolygonTest(cv2.convexHull(at), middle.tolist(), False) >= 0.0
-
-
-def _clear_edges(image: U8, ground: int) -> None:
-    """Paint what is cut by the picture's edge like the ground: it is no part of the pad."""
-    h, w = image.shape
-    for column, row in [(c, r) for c in range(w) for r in (0, h - 1)] + [(c, r) for r in range(h) for c in (0, w - 1)]:
-        if image[row, column] != ground:
-            cv2.floodFill(image, None, (column, row), ground)
-
-
-def _edge(image: U8) -> U8:
+def edge_of(image: U8) -> U8:
+    """Return the pixels of an image's edge."""
     return np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
 
 
@@ -394,7 +186,7 @@ def traced(picture: Picture, name: str, where: str) -> tuple[dict[str, Any], tup
         largest = _described(picture, centre, specks[0].area, specks[0].outline.mean(axis=0))
         remarks.append(f"left out as too fine to be traced: {len(specks)} in all, {all_mm2:.0f} mm2; the largest: {largest}")
     if picture.size_m is not None:
-        size_m = m * _extent(back != picture.ground)
+        size_m = m * extent_px(back != picture.ground)
         if abs(size_m / picture.size_m - 1.0) > _SIZE_OFF:
             scaled = structs.replace(picture, px_per_m=picture.px_per_m * size_m / picture.size_m)
             keys, remarks_of_it = traced(scaled, name, where)
@@ -485,14 +277,14 @@ def _painted(picture: Picture, regions: Sequence[dict[str, Any]], centre: F64) -
     return back
 
 
-def _extent(mask: NDArray[np.bool_]) -> float:
+def extent_px(mask: NDArray[np.bool_]) -> float:
     """Return the larger side of the box around what a mask has, px."""
     return float(max(cv2.boundingRect(mask.astype(np.uint8))[2:]))
 
 
 def _unlike(picture: Picture, back: U8) -> tuple[float, F64]:
     """Return area, px^2, and place of the largest connected difference that is more than a strip along a border."""
-    wide = round(max(picture.thinnest_px, _UNLIKE * _extent(picture.paint != picture.ground)))
+    wide = round(max(picture.thinnest_px, _UNLIKE * extent_px(picture.paint != picture.ground)))
     nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (wide, wide))
     opened = cv2.morphologyEx((picture.paint != back).astype(np.uint8), cv2.MORPH_OPEN, nib)
     _, _, stats, places = cv2.connectedComponentsWithStats(opened)
