@@ -48,6 +48,7 @@ _NO_BOARD = (
 
 
 DESCRIPTION = "Calibrate a camera, its mount and delay, and a vehicle."
+_LACKS = 6  # lines of what the views lack
 
 
 def add_arguments(outer: argparse.ArgumentParser) -> None:
@@ -278,9 +279,6 @@ def _record(
             "rms_px": solution.rms_px, "model": solution.model, "left_out": [f.view.name for f in solution.left_out],
         }  # fmt: skip
     return record
-
-
-_LACKS = 6
 
 
 def block(state: GuideState) -> list[str]:

@@ -42,6 +42,10 @@ _CHI2_95 = 7.81
 """Chi-square of three values that 95 % lie below."""
 DELAY_MARGIN_S = 0.06
 """Least delay beyond the known one that the law should stand."""
+_GYRO_TRAILS_S = 0.005
+"""A gyro may trail its stamps by as much, so that a delay seems to be less than none."""
+FILTER_DELAY_LEAST_S = 0.002
+"""The filter does not get a smaller sigma of the delay than this: it drifts by as much."""
 
 
 def _add_vehicle(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -268,10 +272,6 @@ _HOW = (
     "Fly by hand for a minute at 2 to 4 m over a pad ashore, the pad in view: lean left, right, forward and back, turn by 90 "
     "degrees or more both ways, and record it. Exit code 1, and no file, if the flight does not tell."
 )
-_GYRO_TRAILS_S = 0.005
-"""A gyro may trail its stamps by as much, so that a delay seems to be less than none."""
-FILTER_DELAY_LEAST_S = 0.002
-"""The filter does not get a smaller sigma of the delay than this: it drifts by as much."""
 
 
 def add_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

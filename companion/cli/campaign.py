@@ -34,7 +34,7 @@ from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
 
-_MAP_RUNS = 4
+_MAP_RUNS = 4  # runs of each cell of a map
 _BESIDE = REPORT_FOLDER._replace(inside=(REPORT, MAP))
 
 

@@ -24,6 +24,7 @@ from estimator.contracts.estimates import Verdict
 from estimator.contracts.total_table import next_states
 
 DESCRIPTION = "Check, show, import or look up settings."
+_FAULTS_MOST = 20  # faults of a file that are reported
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,7 +108,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-_FAULTS_MOST = 20
 _OF_KEY = re.compile(r"([\w-]+(?:\.[\w-]+)+)[ :]")
 
 

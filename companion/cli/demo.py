@@ -41,10 +41,10 @@ from sitl.flight.ending import Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
 
-_READY_S = 120.0
+_READY_S = 120.0  # longest time until the simulated vehicle has started
 _REPORT_S = 7.0
 """Time for the report after SIGTERM, s: service managers and containers kill what has not ended after 10 s."""
-_SETTLE_S = 0.5
+_SETTLE_S = 0.5  # time that the simulated vehicle flies on after the service has ended
 _PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
 _KEEP_EACH = 4

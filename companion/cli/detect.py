@@ -55,11 +55,12 @@ VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".h264", ".264", ".m4v", ".ts
 METHODS: tuple[Method, ...] = ("ellipse", "arrow", "corners", "registration")
 
 _DRAWINGS = Kind("drawing", tuple(sorted(images.PICTURES)), inside=())
-_SURE, _FOUND = 0.5, EstimatorOptions().min_confidence
-"""Confidence from which a frame shows the pad without doubt, and from which flight uses it."""
+_SURE = 0.5  # confidence from which a frame shows the pad without doubt
+_FOUND = EstimatorOptions().min_confidence
+"""Confidence from which flight uses it."""
 _MIRROR_TRIES = 8
 """Number of frames without a sure pad after which a mirrored one is searched: a camera that mirrors does so in all of them."""
-_NAMED = 3
+_NAMED = 3  # frames that are named
 _STAMP = Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival")
 
 

@@ -39,7 +39,7 @@ from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 
-_SHOWN = 12
+_SHOWN = 12  # entries that are listed
 _NONE_EXAMINED = "no autopilot was examined: nothing was written"
 _UNUSED = {"other_sentence": "of a kind that is not read", "other_message": "of a kind that is not read"}
 GivenLinks = tuple[AutopilotOptions, tuple[LinkOptions, ...]]

@@ -34,8 +34,8 @@ TWICE: dict[str, tuple[OperatorOrder, str]] = {
     "R": (OperatorOrder.RESET, "leave the emergency state"),
 }
 """The keys that must be pressed twice: the order of each, and its words."""
-_TICK_S = 0.05
-_STEP = 0.1
+_TICK_S = 0.05  # interval of keys and display
+_STEP = 0.1  # change of the sticks' deflection by a key
 
 MOTIONS: dict[str, tuple[str, float]] = {
     "w": ("climb", 1.0),

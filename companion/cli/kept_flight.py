@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from sitl.perception.port import Level
     from sitl.world.truth import Touchdown, Truth
 
+_WIDE = 100
+"""Columns that the whole line takes; below it has time, phase and place alone."""
+
 
 class HeldBack(Relay):
     """An observer that passes everything on, in order, from `begin` on.
@@ -218,8 +221,6 @@ def _contact(t: Touchdown) -> ContactRecord:
 
 _DOWN = frozenset((State.LANDED.value, State.LANDED_BY_OTHERS.value))
 """Phases on the deck: the estimate is no longer corrected there, and its height drifts."""
-_WIDE = 100
-"""Columns that the whole line takes; below it has time, phase and place alone."""
 
 
 class ProgressObserver(NullObserver):

@@ -33,6 +33,11 @@ DESCRIPTION = (
     "Make, show, install and remove MAVLink signing keys (docs/mavlink.md). Exit code 0 if the autopilot "
     "was seen to take the change, 1 if not."
 )
+_PROBE_S = 0.3  # interval of messages to an autopilot that is looked for
+_REPEATS = 3  # times that a key is sent, as its message is not answered
+_CHANGES_OVER_S = 3.0
+"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may switch when it receives MAVLink 2."""
+_NO_KEY = [0] * 32
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -162,11 +167,6 @@ def _confirmed() -> bool:
 
 VERSION_2_CURE = "set SERIALn_PROTOCOL 2 (ArduPilot) or MAV_PROTO_VER 2 (PX4) for this link"
 _STATION = (255, 190)
-_KNOCK_S = 0.3
-_REPEATS = 3
-_CHANGES_OVER_S = 3.0
-"""Time for which a heartbeat in MAVLink 1 may be followed by one in 2: an autopilot may switch when it receives MAVLink 2."""
-_NO_KEY = [0] * 32
 
 
 class Met(Struct, frozen=True):
@@ -224,7 +224,7 @@ async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key:
     async with _opened(endpoint, current, clock) as links:
         for _ in range(_REPEATS):
             links.send(mav.MAVLink_setup_signing_message(to.system, to.component, secret, time))
-            await clock.sleep(_KNOCK_S)
+            await clock.sleep(_PROBE_S)
 
 
 async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Clock, seconds: float) -> bool:
@@ -258,7 +258,7 @@ async def _opened(endpoint: Endpoint, key: SigningKey | None, clock: Clock) -> A
 async def _probe(links: Links, clock: Clock) -> None:
     while True:
         links.send(TimeSyncV2(0, clock.now()))
-        await clock.sleep(_KNOCK_S)
+        await clock.sleep(_PROBE_S)
 
 
 def _is_signed(received: ReceivedMessage) -> bool:

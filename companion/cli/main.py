@@ -73,7 +73,16 @@ _EXAMPLES = (
 Load = Callable[[str], ModuleType]
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Errors of a disk that takes no more, whatever is written."""
-DONE, FAILED, WRONG, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
+DONE = 0
+"""Exit code: done."""
+FAILED = 1
+"""Exit code: it did not reach its goal."""
+WRONG = 2
+"""Exit code: wrong use or bad input."""
+INTERRUPTED = 130
+"""Exit code: interrupted from the keyboard, 128 and SIGINT."""
+BROKEN_PIPE = 141
+"""Exit code: the reader of the output is gone, 128 and SIGPIPE."""
 
 
 _PLAIN = {

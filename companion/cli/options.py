@@ -20,6 +20,13 @@ from estimator.contracts.errors import BadInput
 if TYPE_CHECKING:
     from companion.recording.reading import Recording
 
+_PRINT_EACH_S = 30.0  # interval of progress where there is no terminal
+_REDRAW_S = 0.2  # interval of progress on a terminal
+_SILENT_S = 2.0
+"""Work that takes less is not shown."""
+_LEAST_SHARE = 0.05
+"""The share of the work after which the time left is worth printing."""
+
 
 def option(parser: argparse._ActionsContainer, spec: str, meaning: str, **more: Any) -> None:
     """Declare an option or an argument.
@@ -116,14 +123,6 @@ def require_drawing(option: str, instead: str = "") -> None:
         )
 
 
-_SAY_EACH_S = 30.0
-_REDRAW_S = 0.2
-_SILENT_S = 2.0
-"""Work that takes less is not shown."""
-_LEAST_SHARE = 0.05
-"""The share of the work after which the time left is worth printing."""
-
-
 class WorkProgress:
     """Progress of long work on standard error: one line that is redrawn on a terminal, else a line now and then.
 
@@ -147,7 +146,7 @@ class WorkProgress:
         self._done = done
         if now_s < self._due_s and done > 0 and (done != of or not self._shown):
             return
-        self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _SAY_EACH_S)
+        self._shown, self._due_s = True, now_s + (_REDRAW_S if self._live else _PRINT_EACH_S)
         text = f"{self._title}: {done} of {of} {self._items}" if of is not None else f"{self._title}: {done} {self._items}"
         if of is not None and _LEAST_SHARE * of <= done < of:
             left_s = (now_s - self._began_s) * (of / max(1, done) - 1.0)

@@ -48,6 +48,16 @@ from estimator.vision.pad.pad import RARE, Pad
 from estimator.vision.pad.shapes import part_of
 from estimator.vision.srgb import LUMA, linear_light
 
+_MOST_BYTES = 4096  # longest request that is read
+_LEAST_CONTRAST = 0.05
+"""Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
+_LEAST_RADIUS_PX = 5.0
+"""Least radius of a pad that is searched for: below it the parts merge into a spot."""
+_FOCAL = 0.8
+"""Guessed focal length of a camera without a file, in widths of its pictures: places and sizes in them hardly depend on it."""
+_LETTER_RADIUS_PX = 20.0
+"""Least radius of a letter on the bare deck: below it the edges merge, and it resembles other small bright things."""
+
 
 def _add_import(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `decklander pad import` to the parser."""
@@ -169,7 +179,6 @@ def _corners(text: str | None) -> np.ndarray | None:
     return np.array(values, float).reshape(4, 2)
 
 
-_MOST_BYTES = 4096
 _CORNERS = ("fore left", "fore right", "aft right", "aft left")
 _PAGE = Path(__file__).with_name("pad_corners.html")
 
@@ -336,14 +345,6 @@ _DECKS = {
     "grey steel": (128, 128, 128), "dark non-slip": (58, 60, 62), "deck green": (40, 80, 60), "red lead": (120, 50, 40),
     "concrete": (180, 176, 168),
 }  # fmt: skip
-_LEAST_CONTRAST = 0.05
-"""Least luminance between a deck and what is painted on it, full scale 1: less drowns in wear, ripples and shadows."""
-_LEAST_RADIUS_PX = 5.0
-"""Least radius of a pad that is searched for: below it the parts merge into a spot."""
-_FOCAL = 0.8
-"""Guessed focal length of a camera without a file, in widths of its pictures: places and sizes in them hardly depend on it."""
-_LETTER_RADIUS_PX = 20.0
-"""Least radius of a letter on the bare deck: below it the edges merge, and it resembles other small bright things."""
 _NAMES = {
     EdgeKind.DISC: "disc", EdgeKind.RING: "ring", EdgeKind.ARROW: "arrowhead", EdgeKind.H: "lettering",
     EdgeKind.UPPER: "upper lettering",

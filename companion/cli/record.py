@@ -43,6 +43,12 @@ DESCRIPTION = (
 )
 
 TABLES = Kind("table", inside=tuple(TABLE_OF.values()))
+_DAY_S = 86_400.0  # sources of a network whose begins are further apart have different clocks
+_ATTITUDE_NS = NS_PER_S
+"""Age of the newest attitude from which on a frame has none."""
+_BLOCK_BYTES = 1 << 20  # bytes that are read at once
+_ABANDONED_S = 60.0
+"""A recording without an end that did not grow for so long was cut short by a crash, and is uploaded as it is."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -218,7 +224,6 @@ _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
     FileKind.NAVDATA: ardrone_capture.samples, FileKind.NETWORK: network.read,
 }  # fmt: skip
-_DAY_S, _ATTITUDE_NS = 86_400.0, NS_PER_S
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.ENCRYPTED: DECRYPT,
@@ -316,10 +321,6 @@ def _written(output: Path, write: Callable[[Path], Any]) -> Any:
 #
 # A recording counts as uploaded when the storage has given back its very bytes. Then its digest lies beside it in both places, as
 # `NAME.sha256` in the form of `sha256sum`. Nothing here writes to a recording or takes one away.
-
-_BLOCK_BYTES = 1 << 20
-_ABANDONED_S = 60.0
-"""A recording without an end that did not grow for so long was cut short by a crash, and is uploaded as it is."""
 
 
 class Storage(NamedTuple):

@@ -35,6 +35,8 @@ DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
     "flight to the bit. Exit code 0 if it landed on the pad safely, or refused as the scenario expects; else 1."
 )
+COMPANION_PORT = 14540
+"""The companion's port in the settings that a recording keeps."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -106,8 +108,6 @@ def run(args: argparse.Namespace) -> int:
     return 0 if ending.good and not kept.incomplete else 1
 
 
-COMPANION_PORT = 14540
-"""The companion's port in the settings that a recording keeps."""
 STAND_IN = "stand-in"
 """The word for --binary that flies the stand-in for a program instead of a program."""
 

@@ -50,10 +50,10 @@ _OWN_LINK = ("sim", "ardrone1", "ardrone2")
 """Vehicles whose address and camera are known."""
 _ARDRONE = ("192.168.1.1", 5554)
 """An AR.Drone's address in its own network, and its port of navdata."""
-_NAVDATA_S = 1.5
+_NAVDATA_S = 1.5  # time in which an AR.Drone that is in reach answers
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
-_FLIP_S = 20.0
+_FLIP_S = 20.0  # time that an operator has to flip the switch
 _STACKS = {"ArduPilot": "ardupilot", "PX4": "px4"}
 _UNIT_FOLDER, _UNIT_STORE = Path("/etc/decklander"), Path("/etc/credstore")
 """Folders of the unit's settings and of its credentials: it runs as a user of its own, who cannot read root's files."""

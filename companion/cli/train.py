@@ -24,8 +24,8 @@ from study.gym.training import TrainingWorlds
 
 _FRESH = 1_000_000
 """Seeds of the flights that examine a policy begin here; training counts on from its own seed, far below."""
-_EXAMINED = 64
-_WORLDS = 192
+_EXAMINED = 64  # worlds in which a policy is examined
+_WORLDS = 192  # worlds in which a policy is trained
 
 
 DESCRIPTION = (

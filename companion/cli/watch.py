@@ -38,6 +38,13 @@ LOAD_S = 10.0
 """Time over which the load of a drone is counted, s."""
 DRONES = 256
 """The most drones that are kept, so that other writers on the broker cannot fill our memory."""
+STALE_S = 3.0
+"""Age from which on a state is marked as old."""
+_REDRAW_S = 0.25  # interval of the display
+_BACK_OFF_S = 1.0  # time to the next attempt to connect
+_SILENT_S = 2.5  # time without an answer after which that is printed
+_LINE_EACH_S = 1.0  # interval of lines where there is no terminal
+_INCOMING = 2000  # messages that may wait
 
 
 @dataclass(slots=True)
@@ -155,7 +162,6 @@ class WatchModel:
         return self.drones[min(self.drones)] if self.drones else None
 
 
-STALE_S = 3.0
 _RED, _GREEN, _YELLOW, _BOLD, _DIM = "31", "32", "33", "1", "2"
 _METHODS = tuple(method for method in get_args(Method) if method != "selected")
 Paint = Callable[[str, str], str]
@@ -379,11 +385,6 @@ def _cut(text: str, width: int) -> str:
     return out
 
 
-_REDRAW_S = 0.25
-_BACK_OFF_S = 1.0
-_SILENT_S = 2.5
-_LINE_EACH_S = 1.0
-_INCOMING = 2000
 _CLEAR, _HOME, _TO_END, _BELOW, _HIDE, _SHOW = "\x1b[2J", "\x1b[H", "\x1b[K", "\x1b[J", "\x1b[?25l", "\x1b[?25h"
 
 

@@ -32,12 +32,16 @@ _SHOWN_WIDTHS = 4.0
 """Width of the scene that a drop shows, in its own radii."""
 _SPRAY_DROPS = 12
 """Drops of a gust of spray."""
-_RADIUS_PX, _STAYS_S = 28.0, 6.0
-"""Radius of a drop's blurred disc, and time until a drop has run off, on average; both assumed."""
+_RADIUS_PX = 28.0  # radius of a drop's blurred disc (assumed)
+_STAYS_S = 6.0  # time until a drop has run off, on average (assumed)
 _CELL_S = 1.5 * _STAYS_S
 """Span of time whose drops are drawn together."""
 _RUNS_OFF = 0.7
 """Part of its life after which a drop runs off."""
+_GLARE_RADIUS_M = 0.225
+"""Radius at which the spot of glare has fallen to a half: it covers a third of the thesis' disc."""
+_MAST_SHADOW = 0.6
+"""Share of light missing in the mast's shadow."""
 
 
 class Drop(Struct, frozen=True):
@@ -106,11 +110,6 @@ def wet_lens(light: I16, drops: list[Drop]) -> None:
 
 
 U8 = NDArray[np.uint8]
-
-_GLARE_RADIUS_M = 0.225
-"""Radius at which the spot of glare has fallen to a half: it covers a third of the thesis' disc."""
-_MAST_SHADOW = 0.6
-"""Share of light missing in the mast's shadow."""
 
 
 def _zeros() -> F64:

@@ -36,11 +36,21 @@ U8 = NDArray[np.uint8]
 
 _LAG_FRAMES = 2
 """Exposures that begin before a new setting acts, as with most USB cameras."""
-_GAIN_MOST = 16.0
-_SHORTEST_S = 1e-4
-_PART_OF_FRAME = 0.8
+_GAIN_MOST = 16.0  # largest gain of the automatics
+_SHORTEST_S = 1e-4  # shortest exposure of a driven camera
+_PART_OF_FRAME = 0.8  # longest exposure, as a share of a frame's time
 _STEPS_OF_GAIN = 2.0
 """Steps of amplification in a stop; each has tables of its noise."""
+_LOOKS = 6
+"""Number of times that the automatics meter the first scene before its frame: the camera has been on for a while."""
+_PACKET_BYTES = 1400  # largest slice of the video
+_FPS = 30  # frames a second of the AR.Drone's video
+_KEYFRAME_S = 1.0
+"""Time between two pictures that need no other, as of the AR.Drone's encoder."""
+_TARGET = 105.0
+"""Mean value of a picture that is rightly exposed, 0 to 255."""
+_SHORTEST = 1.0 / 32.0
+"""Shortest exposure against that of daylight."""
 
 
 class Taken(Struct, frozen=True):
@@ -98,8 +108,6 @@ def taken_with(light: Light, sensor: Sensor, taken: Taken) -> tuple[Light, Senso
 
 
 _AS_IT_IS = Taken()
-_LOOKS = 6
-"""Number of times that the automatics meter the first scene before its frame: the camera has been on for a while."""
 
 
 class Film:
@@ -170,10 +178,6 @@ class Film:
         return renderer.development(*settings(light, sensor, self._automatics, adjusted))
 
 
-_PACKET_BYTES = 1400
-_FPS = 30
-_KEYFRAME_S = 1.0
-"""Time between two pictures that need no other, as of the AR.Drone's encoder."""
 _SLICES = (1, 5)
 """NAL unit types of coded slices (ITU-T H.264, table 7-1)."""
 
@@ -247,10 +251,6 @@ def _units(stream: bytes) -> list[bytes]:
     return [b"\x00\x00\x00\x01" + part for part in parts if part]
 
 
-_TARGET = 105.0
-"""Mean value of a picture that is rightly exposed, 0 to 255."""
-_SHORTEST = 1.0 / 32.0
-"""Shortest exposure against that of daylight."""
 _MIRED = (100.0, 400.0)
 """Limits of the white balance: 10000 to 2500 K, in 1e6 / K."""
 

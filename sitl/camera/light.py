@@ -37,6 +37,14 @@ from sitl.core.library import SIM
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
+FULL_SCALE = 8192
+"""Counts of linear light at the sensor's full scale. Light is kept in int16: steps of a thirteenth of the default read noise, and
+clipped before the blur of the lens at four times full scale."""
+_GRAIN_STEP = 0.25
+"""Deviations from one level of noise to the next."""
+_LENS_PX_MOST = 12_000
+"""Parts of the frame up to so large are blurred exactly: pads from three metres on. Nearer by edges are so long, and cross pixels
+in this many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
 
 
 class Mast(Struct, frozen=True):
@@ -115,19 +123,10 @@ def planck_rgb(kelvin: float) -> NDArray[np.float64]:
     return np.asarray(rgb / rgb.max())
 
 
-FULL_SCALE = 8192
-"""Counts of linear light at the sensor's full scale. Light is kept in int16: steps of a thirteenth of the default read noise, and
-clipped before the blur of the lens at four times full scale."""
-
-
 def srgb_values(light: NDArray[np.float64]) -> U8:
     """Return the frame's values for linear light 0..1 of full scale; light outside is clipped. Source: IEC 61966-2-1."""
     x = np.clip(light, 0.0, 1.0)
     return np.round(255.0 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)).astype(np.uint8)
-
-
-_GRAIN_STEP = 0.25
-"""Deviations from one level of noise to the next."""
 
 
 @lru_cache(maxsize=1)
@@ -223,11 +222,6 @@ class PadBlur(Struct, frozen=True, eq=False):
         x, y, columns, rows = self.window.tolist()
         here = gains[y : y + rows, x : x + columns].transpose(0, 2, 1) * np.float32(1.0 / DL_GAIN_ONE)
         return PadBlur(self.window, np.asarray(np.round(self.added * here), dtype=np.int16))
-
-
-_LENS_PX_MOST = 12_000
-"""Parts of the frame up to so large are blurred exactly: pads from three metres on. Nearer by edges are so long, and cross pixels
-in this many ways, that their aliasing averages out, and the exact blur would cost more than all else."""
 
 
 @lru_cache(maxsize=64)

@@ -32,6 +32,8 @@ _TARPAULIN: RGB = (92, 96, 98)
 _DECK: RGB = (104, 110, 112)
 _NOISE = 2.0
 """Standard deviation of the noise on drawn parts, grey levels."""
+_SLICE_M = 0.04
+"""Height of a person's slices."""
 
 
 class PictureEffects:
@@ -175,8 +177,6 @@ def _behind_drops(px: U8, fault: WetLens, seed: int) -> U8:
 
 
 SolidKind = Literal["box", "person", "bird", "drone"]
-_SLICE_M = 0.04
-"""Height of a person's slices."""
 
 
 class Solid(Struct, frozen=True):

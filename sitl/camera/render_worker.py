@@ -20,7 +20,7 @@ Order = tuple[int, Exposure, np.random.Generator]
 """A request: number of the frame slot, scene, state of the random generator."""
 _SHELVES = 16
 """Number of frames that may be in progress, half a second's worth."""
-_END_S = 5.0
+_END_S = 5.0  # time that a worker gets to end
 
 
 class RenderWorker:

@@ -18,6 +18,12 @@ from estimator.contracts.geometry import F64
 from estimator.contracts.keys import check_order, number
 from sitl.core.library import SIM
 
+BLOCK = 256
+"""Rows of a block."""
+_WRONG_STREAM = 0x3B0D  # stream of random numbers of the errors of a vehicle's file
+_FARTHEST = 2.5
+"""No difference is drawn beyond this many standard deviations."""
+
 
 class Wind(Struct, frozen=True):
     """Steady wind with gusts, uniform around the vehicle.
@@ -42,10 +48,6 @@ def keep_and_fresh(sigma: float, time_s: float, step_s: float) -> tuple[float, f
     """
     keep = math.exp(-step_s / time_s)
     return keep, sigma * math.sqrt(1.0 - keep**2)
-
-
-BLOCK = 256
-"""Rows of a block."""
 
 
 class NoiseRows:
@@ -142,10 +144,6 @@ class EffectSettings(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         check_order(self, "video_least_s <= video_most_s")
 
-
-_WRONG_STREAM = 0x3B0D
-_FARTHEST = 2.5
-"""No difference is drawn beyond this many standard deviations."""
 
 Factor = Annotated[float, number("true value over that of the model", "1", 0.3, 3.0)]
 Degrees = Annotated[float, number("true angle less that of the camera's file", "deg", -10.0, 10.0)]

@@ -24,11 +24,14 @@ DECK, SEA = DL_TOUCHED_DECK, DL_TOUCHED_SEA
 
 _KAIMAL_LAGS = (0.4444, 0.5448, 0.6623)
 """Correlation of the two lags along, across and up, by their times in `physics/air.c`."""
-_AIR_SEED, _EFFECT_SEED = 0xA12, 0xA13
-_DOWNWASH_S, _CLIMB_S, _CUSHION_S = 0.3, 1.0, 0.1
-"""Correlation times of the downwash's turbulence and of the loops' climb rate, and the lag of the ground effect (assumed)."""
-_AIR_DENSITY, _THRUST_COEFFICIENT = 1.225, 0.12
-"""kg/m^3, and thrust over density, squared revolutions and the fourth power of the diameter (small propellers: 0.1 to 0.15)."""
+_AIR_SEED = 0xA12  # stream of random numbers of the air
+_EFFECT_SEED = 0xA13  # stream of random numbers of the unkind effects
+_DOWNWASH_S = 0.3  # correlation time of the downwash's turbulence (assumed)
+_CLIMB_S = 1.0  # correlation time of the loops' climb rate (assumed)
+_GROUND_EFFECT_S = 0.1  # lag of the ground effect (assumed)
+_AIR_DENSITY = 1.225  # density of air, kg/m^3
+_THRUST_COEFFICIENT = 0.12
+"""Thrust over density, squared revolutions and the fourth power of the diameter (small propellers: 0.1 to 0.15)."""
 
 
 class VehiclePhase(IntEnum):
@@ -367,7 +370,7 @@ def _packed_effects(f: Airframe, step_s: float) -> dict[str, Any]:
         "downwash": e.downwash_m_s2 * f.downwash_share,
         "downwash_keep": downwash[0],
         "downwash_fresh": downwash[1],
-        "cushion_share": step_s / (_CUSHION_S + step_s),
+        "cushion_share": step_s / (_GROUND_EFFECT_S + step_s),
         "induced_m_s": math.sqrt(weight_n / (2.0 * _AIR_DENSITY * area_m2)),
         "climb_keep": climb[0],
         "climb_fresh": climb[1],

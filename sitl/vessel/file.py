@@ -33,11 +33,15 @@ from estimator.contracts.keys import check_order, choice, number, text
 from estimator.contracts.text import text_of, utf8_of
 from sitl.vessel.seakeeping import HULLS, MODES, Hull, ResponseTable, Superstructure, smooth_step
 
-_EARTH_M = 6_371_000.0
+_EARTH_M = 6_371_000.0  # mean radius of the Earth
 _RTK = "4"
 """Quality of a place that is known to centimetres."""
-_GAP_S = 2.0
-_DAY_S = 86400.0
+_GAP_S = 2.0  # longest gap between two rows of a record
+_DAY_S = 86400.0  # length of a day
+ROWS_MAX = 500_000
+"""Rows of the largest file."""
+GAP_MAX_S = 2.0
+"""Largest gap between two rows; a longer one hides motion."""
 
 
 def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
@@ -122,9 +126,6 @@ def _smoothed(t: F64, eta: F64, smooth_s: float) -> tuple[F64, F64]:
 
 COLUMNS = ("time_s", "surge_m", "sway_m", "heave_down_m", "roll_deg", "pitch_deg", "yaw_deg")
 """The header; `heave_up_m` may stand in place of `heave_down_m`."""
-ROWS_MAX = 500_000
-GAP_MAX_S = 2.0
-"""Largest gap between two rows; a longer one hides motion."""
 _FARTHEST = (1e4, 1e4, 50.0, 80.0, 80.0, 1e5)
 """m and degrees: beyond these a column holds something else."""
 

@@ -26,6 +26,8 @@ from estimator.contracts.motion import G_M_S2
 MODES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 _ODD = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 """A wave from the other side mirrors sway, roll and yaw of a hull that is alike on both sides."""
+_NODES = 1001
+"""Points of the path through the beginning of the turn; the path between them is exact to a micrometre."""
 
 
 class ResponseTable(Struct, frozen=True, eq=False):
@@ -223,10 +225,6 @@ def _mean_slope(x: F64) -> F64:
     small = np.abs(x) < 1e-2
     y = np.where(small, 1.0, x)
     return np.asarray(np.where(small, 1.0 - x**2 / 10.0, 3.0 * (np.sin(y) - y * np.cos(y)) / y**3))
-
-
-_NODES = 1001
-"""Points of the path through the beginning of the turn; the path between them is exact to a micrometre."""
 
 
 def speed_in_turn_m_s(speed_m_s: float, rate_rad_s: float, length_m: float) -> float:

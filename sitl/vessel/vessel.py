@@ -32,6 +32,10 @@ from sitl.vessel.seakeeping import (
 )
 
 _EYE = np.eye(3)
+_HEADINGS = 96
+"""Headings at which a turning ship's responses are computed; between them fifth-order polynomials meet value, slope and bend."""
+_APART_S = 1e-3
+"""Distance of the velocities whose difference is the acceleration."""
 
 
 class Mooring(Struct, frozen=True):
@@ -192,8 +196,6 @@ def horizontal(axes: F64, v: F64) -> F64:
     return out
 
 
-_HEADINGS = 96
-"""Headings at which a turning ship's responses are computed; between them fifth-order polynomials meet value, slope and bend."""
 _STEP_RAD = math.tau / _HEADINGS
 _HERMITE = np.array(
     [
@@ -367,10 +369,6 @@ def _weighted(weights: F64, parts: list[NDArray[np.complex128]]) -> NDArray[np.c
     for w, part in zip(weights[1:], parts[1:], strict=True):
         out += w[:, None] * part
     return out
-
-
-_APART_S = 1e-3
-"""Distance of the velocities whose difference is the acceleration."""
 
 
 class _Course(NamedTuple):

@@ -19,6 +19,8 @@ from sitl.core.abi import DL_SCENE_ONE, DL_TILE_ONE
 from sitl.core.library import SIM
 
 _NONE = np.empty(0, np.float32)
+_NEAR_M = 1.2  # half side of the drawing for pictures from near by
+_NEAR_PPM = 500.0  # its resolution, pixels a metre
 
 
 class Tile:
@@ -128,9 +130,6 @@ def grain(seed: int) -> Tile:
 
 
 U8 = NDArray[np.uint8]
-
-_NEAR_M, _NEAR_PPM = 1.2, 500.0
-"""Half side and resolution of the drawing for pictures from near by."""
 
 
 class WornDrawing(Struct, frozen=True, eq=False):

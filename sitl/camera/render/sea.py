@@ -27,14 +27,30 @@ _SKY = (214, 200, 186)
 """Colour of the sky at the horizon, BGR."""
 _SHADE = 0.5
 """Share of light that a ship's shadow takes from the water."""
-_FOAM, _FOAM_AT_REST = (110.0, 130.0), 55.0
-"""Brightness of the foam beside and behind a ship under way, and beside one at rest."""
+_FOAM = (110.0, 130.0)
+"""Brightness of the foam beside and behind a ship under way."""
+_FOAM_AT_REST = 55.0  # brightness of the foam beside one at rest
 _NOWHERE: F64 = np.empty((0, 2))
 _SOFT_M, _SOFT_LEAST = (0.06, 0.10, 0.25), (0.6, 0.6, 0.8)
 """Deviations of soft edges: of a ship's shadow, of the foam beside her and of her wake, m.
 
 Then the least ones, in squares of 4 x 4 pixels.
 """
+_AIRLIGHT = 0.55
+"""Light of thick haze in daylight, in units of full scale where white paint is 0.8."""
+_CONTRAST = -math.log(0.02)
+"""Koschmieder's constant: the contrast at the visibility is 2 %. Source: WMO Guide to Instruments (WMO-No. 8), part I, 9.1."""
+_SEA_SLOPE = 0.14  # standard deviation of the slopes that mirror the sun: of small waves (Cox & Munk, J. Opt. Soc. Am. 44, 1954)
+_DECK_SLOPE = 0.05  # the same of wet paint
+_FACET = 0.035
+"""Half width, as a slope, of the sun's image in one facet, with the blur of what is smaller than a pixel."""
+_RING_M = 0.55  # radius of the ring of small lamps
+_RING_LAMP_M = 0.012  # radius of a lamp of it
+_FLOOD_AWAY_M = 2.5  # distance of the floodlights from the pad's centre
+_FLOOD_HEIGHT_M = 1.5  # their height over the deck
+_FLOOD_K = 3200.0  # colour temperature of halogen lamps
+_BRIGHTEST = 8.0
+"""Largest light of the floodlights, against that in the pad's middle: near their feet it is clipped."""
 
 
 class SeaPainter:
@@ -152,22 +168,6 @@ def _water_table(water: tuple[int, int, int]) -> NDArray[np.uint8]:
     v = np.arange(256)
     table = np.stack([np.interp(v, stops, channel) for channel in (blue, green, red)], axis=-1)
     return np.clip(np.round(table), 0, 255).astype(np.uint8)
-
-
-_AIRLIGHT = 0.55
-"""Light of thick haze in daylight, in units of full scale where white paint is 0.8."""
-_CONTRAST = -math.log(0.02)
-"""Koschmieder's constant: the contrast at the visibility is 2 %. Source: WMO Guide to Instruments (WMO-No. 8), part I, 9.1."""
-_SEA_SLOPE, _DECK_SLOPE = 0.14, 0.05
-"""Standard deviation of the slopes that mirror the sun: of small waves (Cox & Munk, J. Opt. Soc. Am. 44, 1954), of wet paint."""
-_FACET = 0.035
-"""Half width, as a slope, of the sun's image in one facet, with the blur of what is smaller than a pixel."""
-_RING_M, _RING_LAMP_M = 0.55, 0.012
-"""Radius of the ring of small lamps, and of a lamp of it."""
-_FLOOD_AWAY_M, _FLOOD_HEIGHT_M, _FLOOD_K = 2.5, 1.5, 3200.0
-"""Distance of the floodlights from the pad's centre, their height over the deck, and the colour temperature of halogen lamps."""
-_BRIGHTEST = 8.0
-"""Largest light of the floodlights, against that in the pad's middle: near their feet it is clipped."""
 
 
 class Lamps:
