@@ -20,7 +20,7 @@ static const double NIS_MAX = 16.0;
 static const double LOG_WEIGHT_MIN = -30.0;
 /* Prior of offset, its rate, acceleration: of places, and of a deck's list, which is an offset that does not drift. */
 static const double DRIFT_VAR[3] = {25.0, 9.0, 1.0};
-static const double LIST_RAD = 2.0 * 3.14159265358979323846 / 180.0;
+static const double LIST_RAD = 2.0 * 3.14159265358979323846 / 180.0; /* Standard deviation of that list. */
 /* Prior of the mean that is left in the numbers of a motion sensor, m^2 or rad^2, as a part of the size that is usual, and its random
  * walk: it takes her slow motion off itself. */
 static const double SENSOR_MEAN_VAR[2] = {0.1 * 0.1, 0.005 * 0.005}, SENSOR_DRIFT_PSD[2] = {0.01 * 0.01, 0.0005 * 0.0005};

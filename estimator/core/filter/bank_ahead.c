@@ -13,7 +13,7 @@
 enum { STATES = 4, OF_RATE = 1 };
 
 /* A rate's variance below which the rate is known. */
-static const double KNOWN_VAR = 1e-18;
+static const double AHEAD_KNOWN_VAR = 1e-18;
 
 /* The first member with oscillator k: the member at rest has one of its own, the others come in all sizes. */
 static int first_member(int k)
@@ -117,7 +117,7 @@ static void add_own_spread(const dl_bank_members *m, const dl_bank *s, const osc
     double column[STATES][DL_MEMBERS], known[DL_MEMBERS], scaled[DL_MEMBERS];
     rate_column(m, s, steps, k, column);
     for (int g = 0; g < DL_MEMBERS; g++) {
-        known[g] = weight[g] / fmax(column[OF_RATE][g], KNOWN_VAR);
+        known[g] = weight[g] / fmax(column[OF_RATE][g], AHEAD_KNOWN_VAR);
     }
     for (int o = 0; o < DL_OSCILLATORS; o++) {
         add_carried(s, steps, k, o, weight, now);

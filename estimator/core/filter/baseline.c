@@ -10,9 +10,11 @@
 
 /* Shortest time between two baselines that counts: receivers give twenty a second at most. */
 static const double LEAST_S = 0.05;
-/* Age of a picture up to which baselines may not lead a belief that knows the place better than their common wander, s, and how much
- * less they count then: a hundred of them, ten seconds', are one where both are alike, and the fewer the better the place is known. */
-static const double PICTURE_S = 0.5, ALIKE = 100.0, ALIKE_MOST = 200.0;
+/* Age of a picture up to which baselines may not lead a belief that knows the place better than they, s. */
+static const double PICTURE_S = 0.5;
+/* How much less they count then: a hundred, ten seconds', are one where place and common wander are alike. */
+static const double ALIKE = 100.0;
+static const double ALIKE_MOST = 200.0; /* The most of that: the fewer count, the better the place is known. */
 
 /* The antennas from the body's origin and from the pad's centre, in ned. */
 static void arms(const dl_filter_params *o, const dl_belief *b, const dl_sighting *s, double drone[3], double ship[3])

@@ -11,32 +11,32 @@
 /* Squared innovation over its variance above which the covariance grows; the median of five honest ones is above this once in
  * seventy times. */
 static const double RATIO_MAX = 2.5;
-/* A sighting farther off than both is not counted: it is another pad or none, and the gate decides about it. A ship that brakes by
- * 4 m/s^2 is off by the latter, m^2, after 0.3 s. */
-static const double RATIO_COUNTED = 49.0, COUNTED_M2 = 0.18 * 0.18;
+/* Square of the ratio to what is claimed beyond which a sighting is not counted: another pad or none. */
+static const double RATIO_COUNTED = 49.0;
+static const double COUNTED_M2 = 0.18 * 0.18; /* What it has to be off by besides, m^2: a ship that brakes by 4 m/s^2 is, after 0.3 s. */
 /* Sightings older than this, against the newest, are not counted, ns. */
 static const int64_t MEMORY_NS = 350000000;
 /* The median is of at least this many sightings that span at least so long, ns. */
 static const int64_t NEEDED = 3, SPAN_NS = 120000000;
-/* Time for which an unknown acceleration is assumed to have acted, of a wave and of the ship, s. */
-static const double ACTED_S = 0.3, STEERED_S = 0.15;
-/* A ship manoeuvres where the last two or three sightings within so long, s, are off to one side by so many standard deviations of their
- * sum, each counted for so many at most: of places for so few that one alone shows nothing. What her acceleration leaves of an
- * innovation is a chi-square; this and more is of a sighting that is wrong. Measured in docs/decisions/ship-manoeuvres.md. */
+static const double ACTED_S = 0.3; /* Time for which an unknown acceleration of a wave is assumed to have acted, s. */
+static const double STEERED_S = 0.15; /* The same of the ship's, s. */
+/* A ship manoeuvres where the last two or three sightings are off to one side. Measured in docs/decisions/ship-manoeuvres.md. */
 enum { TOGETHER = 3 };
+static const double TOGETHER_S = 0.16; /* Time within which they are, s. */
+static const double DEVIATES_NEEDED = 5.0; /* Standard deviations of their sum by which they have to be off. */
+/* Deviations that each counts for at most: of places so few that one alone shows nothing. */
 static const double DEVIATE_MOST[STEERINGS] = {5.0, 5.0, 9.0};
-static const double TOGETHER_S = 0.16, DEVIATES_NEEDED = 5.0, LEFT_MOST = 12.0;
+static const double LEFT_MOST = 12.0; /* What her acceleration may leave of an innovation, a chi-square: more is of a wrong sighting. */
 /* One of whose innovation so small a share is left is not, nor so much while she steers. */
 static const double LEFT_SHARE = 0.05, LEFT_SHARE_ON = 0.25;
-/* Sightings are off by less than they claim. The mean of their NIS is renewed by so much of each, which counts for so much at most, and
- * the deviations that are usual are its root, with this as the least mean. */
-static const double CLAIMED_RENEWED = 0.1, CLAIMED_MOST = 5.0, CLAIMED_LEAST = 0.2;
+/* Sightings are off by less than they claim: the deviations that are usual are the root of the mean of their NIS. */
+static const double CLAIMED_RENEWED = 0.1; /* Share of it that each renews. */
+static const double CLAIMED_MOST = 5.0;    /* What each counts for at most. */
+static const double CLAIMED_LEAST = 0.2;   /* The least mean. */
 /* A place, m, or heading, rad, that is further off is not that of a ship that steers. */
 static const double STEERED_MOST = 0.25;
 /* Time since the newest sign of a manoeuvre after which the next one is another manoeuvre, s. */
 static const double MANOEUVRE_S = 2.0;
-/* A ship that is slower has no way, m/s: north and east are as good. */
-static const double UNDER_WAY_M_S = 0.3;
 
 /* Drop the sightings that are too old, and at least one if there is no room for another. */
 static void drop_old(dl_innovation_excesses *excesses, int64_t t)

@@ -18,6 +18,9 @@
 
 #include "filter/belief.h"
 
+/* A ship that is slower has no way, m/s: north and east are as good. */
+#define UNDER_WAY_M_S 0.3
+
 enum { STEERINGS = EXCESS_NUMBERS - 3 };
 
 /* Of accelerations of the ship along `way`, a unit vector north and east, across it and in heading: the displacement in the

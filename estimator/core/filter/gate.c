@@ -9,19 +9,19 @@
 #include "filter/propagate.h"
 #include "filter/sighting.h"
 
-/* Rate at which two sightings of the same object may come to differ because the belief drifts between them, and the most that it
- * may. A deck whose heave is not learned yet moves away from the belief at 1 to 2 m/s. */
-static const double GROWTH_M_S = 2.0, GROWTH_MAX_M = 0.6;
-/* Sigmas of their difference, and fraction of the offset, by which two sightings of the same object may differ. */
-static const double SIGMAS = 4.0, FRACTION = 0.02;
+/* Rate at which two sightings of one object may come to differ: a deck whose heave is not learned moves at 1 to 2 m/s. */
+static const double GROWTH_M_S = 2.0;
+static const double GROWTH_MAX_M = 0.6; /* The most that the drift of the belief between them makes, m. */
+static const double SIGMAS = 4.0; /* Standard deviations by which two sightings of one object may differ. */
+static const double FRACTION = 0.02; /* Fraction of the offset by which they may besides. */
 /* Pause that ends a streak, s. */
-static const double PAUSE_S = 2.0;
+static const double STREAK_PAUSE_S = 2.0;
 /* Number of sightings that make a belief one of many. */
 enum { MANY = 3 };
-/* Fraction by which one sighting renews the mean, and the most that one counts for. */
-static const double RENEWED = 0.05, COUNTED_MAX = 20.0;
-/* Differences of place, m, and of angle, rad, that a landing does not notice. */
-static const double SLIGHT_M = 0.008, SLIGHT_RAD = 0.01;
+static const double RENEWED = 0.05; /* Fraction by which one sighting renews the mean of the NIS. */
+static const double COUNTED_MAX = 20.0; /* The most that one counts for. */
+static const double SLIGHT_M = 0.008; /* Difference of place that a landing does not notice, m. */
+static const double SLIGHT_RAD = 0.01; /* Difference of angle that it does not notice, rad. */
 
 static double length(const double v[3])
 {
@@ -43,7 +43,7 @@ void streak_extend(dl_belief *b, int64_t t, const double offset_ned[3], double v
     }
     const double grown = fmin(GROWTH_M_S * dt, GROWTH_MAX_M);
     const double limit = SIGMAS * sqrt(var_m2 + streak->var_m2) + grown + FRACTION * length(offset_ned);
-    if (streak->n == 0 || t < streak->last || length(step) > limit || dt > PAUSE_S) {
+    if (streak->n == 0 || t < streak->last || length(step) > limit || dt > STREAK_PAUSE_S) {
         streak->n = 0;
         streak->since = t;
     }

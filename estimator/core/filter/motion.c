@@ -11,9 +11,8 @@
 
 enum { ROWS = 3, ALONG_DOWN = 2, IN_ROLL = 3 };
 
-/* Time after the newest report for which the deck's motion is known without a pad, and after the newest sighting by which the bank
- * learned from which on it learns by reports, s. */
-static const double REPORTED_S = 3.0, UNSEEN_S = 2.0;
+static const double REPORTED_S = 3.0; /* Time after the newest report for which the deck's motion is known without a pad, s. */
+static const double UNSEEN_S = 2.0; /* Time after the newest sighting that taught the bank from which on it learns by reports, s. */
 
 bool knows_deck(const dl_filter_params *o, const dl_belief *b, int64_t t)
 {

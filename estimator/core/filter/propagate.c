@@ -12,16 +12,20 @@
 
 /* Fraction of a direction's energy that lies in waves too short for the learned oscillators; it enters as white acceleration. */
 static const double SHORT_FRACTION = 0.002;
-static const double YAW_DAMPING = 0.5;
-/* Time for which a ship that manoeuvres is assumed to go on after sightings showed it, s, and the densities of her accelerations
- * meanwhile: 2 m/s^2 and 0.5 rad/s^2 for a tenth of a second. */
-static const double STEERS_S = 0.4, STEERS_PSD = 2.0 * 2.0 * 0.1, STEERS_TURN_PSD = 0.5 * 0.5 * 0.1;
+static const double YAW_DAMPING = 0.5; /* Damping ratio of the yaw on waves. */
+static const double STEERS_S = 0.4; /* Time for which a ship that manoeuvres is assumed to go on after sightings showed it, s. */
+static const double STEERS_PSD = 2.0 * 2.0 * 0.1; /* Density of her acceleration meanwhile: 2 m/s^2 for a tenth of a second. */
+static const double STEERS_TURN_PSD = 0.5 * 0.5 * 0.1; /* Density of her turn's: 0.5 rad/s^2 for a tenth of a second. */
 
-/* A pad that a turning ship swings aside has her speed again after the turn. Lost from sight within SWINGS_S of the newest sighting of a
- * turn, or BEGINS_S of one of any manoeuvre, as what leaves so soon is swung, and unseen for UNSEEN_S, its velocity and turn come back to
- * what they were before within about SETTLES_S, but for these standard deviations, m/s and rad/s. SWUNG_S after the last sighting the
- * swing is over, and velocities show again how the body moves. */
-static const double SWINGS_S = 1.0, BEGINS_S = 0.1, UNSEEN_S = 0.3, SETTLES_S = 0.3, SWUNG_S = 2.0, SETTLED_M_S = 0.7, SETTLED_RAD_S = 0.5;
+/* A pad that a turning ship swings aside has her speed again after the turn: its velocity and turn come back to what they were before. */
+static const double SWINGS_S = 1.0; /* Time since the newest sighting of a turn within which a lost pad was swung, s. */
+static const double BEGINS_S = 0.1; /* The same since one of any manoeuvre, s: what leaves so soon is swung. */
+static const double SWING_UNSEEN_S = 0.3; /* Time unseen after which velocity and turn come back, s. */
+static const double SETTLES_S = 0.3; /* Time within which they do, s. */
+/* Time after the last sighting at which the swing is over, and velocities show again how the body moves, s. */
+static const double SWUNG_S = 2.0;
+static const double SETTLED_M_S = 0.7; /* Standard deviation that the velocity keeps, m/s. */
+static const double SETTLED_RAD_S = 0.5; /* The same of the turn, rad/s. */
 
 int happened(int64_t t)
 {
@@ -248,7 +252,7 @@ int is_adrift(const dl_belief *b, int64_t t)
 {
     const int swings = happened(b->swung) && seconds(b->swung, b->sighted) < SWINGS_S;
     const int begins = happened(b->steered) && seconds(b->steered, b->sighted) < BEGINS_S;
-    return happened(b->sighted) && (swings || begins) && seconds(b->sighted, t) > UNSEEN_S;
+    return happened(b->sighted) && (swings || begins) && seconds(b->sighted, t) > SWING_UNSEEN_S;
 }
 
 int is_swung(const dl_belief *b, int64_t t)

@@ -13,8 +13,8 @@
 #include "filter/sighting.h"
 #include "base/rotation.h"
 
-/* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2, and of a place beside its own square, m^2. */
-static const double RESET_VELOCITY_VAR = 4.0, PLACE_VAR = 1e2;
+static const double RESET_VELOCITY_VAR = 4.0; /* Variance of the vessel's velocity when the belief about the pad is reset, (m/s)^2. */
+static const double PLACE_VAR = 1e2; /* Variance of a place beside its own square, m^2. */
 
 static double uniform_var(void)
 {

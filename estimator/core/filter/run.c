@@ -18,9 +18,8 @@ static const double SMOOTH_S = 0.03;
 /* Variance of the attitude error, rad^2, above which the small-angle approximation no longer holds. */
 static const double DIVERGED_VAR = 0.35 * 0.35;
 
-/* Noise of a turn by differences of the vehicle's own attitude, and of a force by a thrust that carries the weight, as parts of that
- * of a body of which neither is known. */
-static const double TURN_BY_ATTITUDE = 0.02, FORCE_BY_THRUST = 0.03;
+static const double TURN_BY_ATTITUDE = 0.02; /* Noise of a turn by differences of the vehicle's own attitude, of that of an unknown one. */
+static const double FORCE_BY_THRUST = 0.03; /* Noise of a force by a thrust that carries the weight, of that of an unknown one. */
 /* The cosine of the largest tilt at which a thrust is taken to carry the weight. */
 static const double LEAST_UPRIGHT = 0.7;
 

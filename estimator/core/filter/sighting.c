@@ -54,9 +54,9 @@ static void set_column(double *H, int at, const double v[3])
 /* What the camera shows of the pad's place in the body's axes, and how that changes. */
 typedef struct {
     double shown[3], rates[3], v_b[3], d_b[3], w[3];
-} view;
+} lens_view;
 
-static void view_of(const dl_belief *b, view *seen)
+static void view_of(const dl_belief *b, lens_view *seen)
 {
     const double *x = b->x;
     double turning[9], moved[3], v_ned[3];
@@ -75,7 +75,7 @@ static void view_of(const dl_belief *b, view *seen)
 }
 
 /* The place's rows of the Jacobian, and those of the rate of the place. */
-static void by_place(const dl_belief *b, const view *seen, const double E[9], const double jl[9], double *H, double *by_rate)
+static void by_place(const dl_belief *b, const lens_view *seen, const double E[9], const double jl[9], double *H, double *by_rate)
 {
     double back[9], ER[9], arm[9], turning[9], E_turning[9], M[9], skewed[9], column[3];
     transposed(b->R, back);
@@ -115,7 +115,7 @@ static void by_place(const dl_belief *b, const view *seen, const double E[9], co
 }
 
 /* R_level_pad as the camera shows it, and its derivative G, (3, N), by small rotations in `level`. */
-static void by_orientation(const dl_belief *b, const view *seen, const double A[9], const double E[9], const double jl[9], double M[9],
+static void by_orientation(const dl_belief *b, const lens_view *seen, const double A[9], const double E[9], const double jl[9], double M[9],
                            double *G)
 {
     const double *x = b->x, late = x[DL_CAMERA_DELAY], pitch = x[PITCH] + x[DL_DECK_TRIM + 1];
@@ -275,7 +275,7 @@ void sighting_model(const dl_belief *b, const dl_sighting *s, const double *cov_
     double *innov = out->innov, *H = out->H;
     const int m = measured_numbers(s, yaw_sigma, place_only);
     double A[9], E[9], jl[9], mount[3], shown[3], found[3];
-    view seen;
+    lens_view seen;
     levelling(b, A);
     for (int i = 0; i < 3; i++) {
         mount[i] = -b->x[DL_CAMERA_MOUNT + i];

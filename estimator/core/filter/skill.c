@@ -7,13 +7,13 @@
 
 #include "filter/propagate.h"
 
-const double SKILL_HORIZONS_S[SKILL_HORIZONS] = {1.0, 2.0, 3.0};
+const double SKILL_HORIZONS_S[SKILL_HORIZONS] = {1.0, 2.0, 3.0}; /* Horizons at which forecasts are compared, s. */
 /* Interval between forecasts, and between comparisons, ns. */
 static const int64_t PERIOD_NS = 500000000;
 /* Age at which the longest horizon of a forecast has surely been compared, ns. */
 static const int64_t KEPT_NS = 4000000000;
 /* Time constant with which old comparisons fade, s. */
-static const double MEMORY_S = 60.0;
+static const double SKILL_MEMORY_S = 60.0;
 /* The factor for a forecast much shorter than a period of the waves, before the first comparison. */
 static const double PRIOR = 0.8;
 /* The number of comparisons that the prior weighs: the first, plus the second times (horizon / period)^4. A wave that passes once
@@ -90,7 +90,7 @@ static void drop_passed(dl_forecast_skill *known, int64_t t)
 void skill_compare(dl_forecast_skill *known, int64_t t, double now[DL_DIRECTIONS][2], double ahead[SKILL_HORIZONS][DL_DIRECTIONS][2])
 {
     if (known->issued_n > 0) {
-        fade(known, exp(-seconds(known->issued[known->issued_n - 1].t, t) / MEMORY_S));
+        fade(known, exp(-seconds(known->issued[known->issued_n - 1].t, t) / SKILL_MEMORY_S));
     }
     for (int k = 0; k < SKILL_HORIZONS; k++) {
         const int64_t then = t - llround(SKILL_HORIZONS_S[k] * 1e9);

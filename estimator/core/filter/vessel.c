@@ -18,11 +18,14 @@ static const double MANY = 5.0, FEW = 3.0;
 static const double JUDGED_RAD_S = 0.01, FUSED_RAD_S = 0.05;
 /* A heading beside a rate of turn is fused so seldom, s: the errors of a compass are alike from one report to the next. */
 static const double HEADING_EACH_S = 1.0;
-/* How well the turning point is known, m, and the rate of turn that swings a pad aside, rad/s. */
-static const double POINT_SIGMA_M = 1.0, SWUNG_RAD_S = 0.2;
-/* A sensor that after a manoeuvre goes on to be off by so much, rad/s, for so long, s, while the pad is in sight is contradicted by it, and
- * is left out for a time, s; the first pause ends it, s. */
-static const double OFF_RAD_S = 0.1, PAUSE_S = 1.0, CONTRADICTED_S = 1.5, IN_SIGHT_S = 0.6, LEFT_OUT_S = 10.0;
+static const double POINT_SIGMA_M = 1.0; /* Standard deviation of the turning point's place, m. */
+static const double SWUNG_RAD_S = 0.2; /* Rate of turn that swings a pad aside, rad/s. */
+/* A sensor that is off after a manoeuvre while the pad is in sight is contradicted by it. */
+static const double OFF_RAD_S = 0.1; /* Rate by which it is off, rad/s. */
+static const double PAUSE_S = 1.0; /* Pause that ends it, s. */
+static const double CONTRADICTED_S = 1.5; /* Time for which it goes on, s. */
+static const double IN_SIGHT_S = 0.6; /* Age of a sighting that still is sight, s. */
+static const double LEFT_OUT_S = 10.0; /* Time for which the sensor is left out, s. */
 /* Number of sightings that know the pad's motion. */
 enum { ESTABLISHED = 8 };
 /* Standard deviation of the velocity over the ground of a body whose sensor may be over the deck instead, m/s. */

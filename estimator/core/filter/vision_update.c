@@ -30,11 +30,12 @@ static const double LOST_SIGMA_M = 0.3;
 static const double COUNTED_S = 0.5;
 /* Turn beyond the believed one in one sighting that swings a pad aside, rad; a ship that turns as ships do is followed. */
 static const double SWUNG_RAD = 0.012;
-/* Change of the pad's speed across the ship's way by which a manoeuvre shown so lately swings it: a ship that brakes changes that along it. */
-static const double ASIDE_M_S = 0.5, ASIDE_S = 0.5, UNDER_WAY_M_S = 0.3;
-/* Time since the newest picture up to which a baseline that contradicts the belief is outvoted, s; time for which baselines have to agree
- * with one another before the belief follows them alone: a wrong solution lasts for seconds. */
-static const double OUTVOTED_S = 0.5, FOLLOWED_S = 3.0;
+/* Change of the pad's speed across the ship's way by which a manoeuvre swings it; braking changes that along it. */
+static const double ASIDE_M_S = 0.5;
+static const double ASIDE_S = 0.5; /* Age of the manoeuvre up to which it does, s. */
+static const double OUTVOTED_S = 0.5; /* Age of the newest picture up to which a baseline that contradicts the belief is outvoted, s. */
+/* Time for which baselines alone have to agree with one another, s: a wrong solution lasts for seconds. */
+static const double FOLLOWED_S = 3.0;
 /* Variance of a baseline up to which it is as good as sight, m^2. */
 static const double SURE_VAR = 0.1 * 0.1;
 

@@ -23,8 +23,9 @@ static const double AGAINST = -0.2;
 /* Delays of the attitude behind the image for which both are compared: from one to the other end in even steps, s. */
 static const double LAG_STEP_S = 0.02;
 enum { NO_LAG = DL_VIEW_LAGS / 2 };
-/* Least delay that makes an alert, s, least correlation with it, and how much better its square is than that without delay. */
-static const double LATE_S = 0.06, LAG_ALIKE = 0.8, LAG_BETTER = 0.05;
+static const double LATE_S = 0.06; /* Least delay that makes an alert, s. */
+static const double LAG_ALIKE = 0.8; /* Least correlation with it. */
+static const double LAG_BETTER = 0.05; /* How much better the square of that is than the one without delay. */
 /* Least distance to the pad, m: nearer, a drone's way aside moves the pad more than its lean does, and later. */
 static const double LAG_FROM_M = 1.0;
 /* Rate of the pad's way through the level view after which nothing is compared for LAG_FORGET_S: after a ship that stops or turns a drone

@@ -10,10 +10,11 @@
 
 #include "law/law.h"
 
-static const double SPEED_GAIN_1_S = 4.0, HEIGHT_GAIN_1_S = 1.5;
-/* Time in which d is learned, and the most of it as a speed: a filter that has the speed over the ground wrong by so much finds it in
- * d, for the body answers its commands by the true one. */
-static const double DISTURBANCE_S = 0.15, DISTURBANCE_MAX_M_S = 1.0;
+static const double SPEED_GAIN_1_S = 4.0; /* Acceleration for an error of the climb rate, 1/s. */
+static const double HEIGHT_GAIN_1_S = 1.5; /* Climb rate for an error of the height, 1/s. */
+static const double DISTURBANCE_S = 0.15; /* Time in which d is learned, s. */
+/* The most of it as a speed, m/s: a filter whose speed over the ground is wrong by so much finds it in d. */
+static const double DISTURBANCE_MAX_M_S = 1.0;
 
 double climb_pushed(const dl_law_params *o, double dt, double d, double a_down, double v, double arrived)
 {

@@ -17,7 +17,8 @@ static const double OLD_S = 0.5;
 static const double POLE_RAD_S = 0.7;
 /* No ship turns faster: 10 degrees a second. */
 #define TURN_MOST_RAD_S (10.0 * acos(-1.0) / 180.0)
-static const double HEADING_GAIN_1_S = 0.8, TURN_COMMAND_MAX_RAD_S = 0.6;
+static const double HEADING_GAIN_1_S = 0.8; /* Rate of turn for an error of the heading, 1/s. */
+static const double TURN_COMMAND_MAX_RAD_S = 0.6; /* Largest rate of turn that is commanded, rad/s. */
 
 /* The number of the horizon from which the straight line to the next one holds at t. */
 static int64_t span(const dl_law_course *course, double t)

@@ -6,10 +6,13 @@
 
 /* Newton steps from the distorted place, and from where the pixels beside it lead. */
 enum { FIRST_STEPS = 12, NEXT_STEPS = 2 };
-static const double NEAREST_M = 1e-3;
+static const double NEAREST_PROJECTED_M = 1e-3; /* Least depth of a point that is projected. */
 /* Newton steps of a fisheye, the largest angle from its axis, rad, the least slope that is followed, and the axis itself. */
 enum { FISHEYE_STEPS = 20 };
-static const double WIDEST_RAD = 1.5, LEAST_SLOPE = 0.05, ON_AXIS = 1e-9, SAME_RAD = 1e-13;
+static const double WIDEST_RAD = 1.5; /* Largest angle of a fisheye's ray from the axis, rad. */
+static const double LEAST_SLOPE = 0.05; /* Least slope of its curve that a step divides by. */
+static const double ON_AXIS = 1e-9; /* Distance from the axis, in focal lengths, of a ray along it. */
+static const double SAME_RAD = 1e-13; /* Step at which the angle is found, rad. */
 
 /* Source: Brown, Close-range camera calibration, Photogrammetric Engineering 37(8), 1971; the order of coefficients is OpenCV's. */
 static inline void distort(const double d[5], double x, double y, double out[2])
@@ -64,7 +67,7 @@ static inline double fisheye_ray(const double d[5], double u, double v, double t
 
 void camera_project(const dl_lens *c, const double p[3], double uv[2])
 {
-    const double z = p[2] > NEAREST_M ? p[2] : NAN;
+    const double z = p[2] > NEAREST_PROJECTED_M ? p[2] : NAN;
     double xy[2] = {p[0] / z, p[1] / z};
     if (c->fisheye) {
         const double r = sqrt(xy[0] * xy[0] + xy[1] * xy[1]), per = r > ON_AXIS ? fisheye_bent(c->distortion, atan(r)) / r : 1.0;

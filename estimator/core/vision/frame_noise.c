@@ -11,12 +11,13 @@
  * axis through. Quiet places say it: the lower quartile of what they let through. Waves, rust and letters raise the upper ones.
  * Source: Immerkaer, Fast noise variance estimation, Computer Vision and Image Understanding 64(2), 1996. */
 enum { CHANNELS = 3, LARGEST = 16 * 255, EVERY_ROW = 12, EVERY_COLUMN = 5 };
-/* The lower quartile of the absolute of a standard normal number, and the deviation of the differences of such numbers. */
-static const double QUARTILE = 0.3186, OF_DIFFERENCES = 6.0;
+static const double QUARTILE = 0.3186; /* Lower quartile of the absolute of a standard normal number. */
+static const double OF_DIFFERENCES = 6.0; /* Deviation of the differences of such numbers. */
 /* Noise, in values of a pixel, that what reads a clear frame allows for anyway. */
-static const double USUAL = 3.0;
-/* Range of a frame's values from which it is clear, without the outermost of them: airlight narrows it. The least contrast. */
-static const double CLEAR_RANGE = 90.0, OUTERMOST = 0.005, LEAST_CONTRAST = 0.15;
+static const double USUAL_VALUES = 3.0;
+static const double CLEAR_RANGE = 90.0; /* Range of a frame's values from which it is clear: airlight narrows it. */
+static const double OUTERMOST = 0.005; /* Share of the outermost values that are left out of it. */
+static const double LEAST_FRAME_CONTRAST = 0.15; /* The least contrast. */
 
 static int second_differences(const uint8_t *at, ptrdiff_t stride)
 {
@@ -65,8 +66,8 @@ int32_t dl_frame_quality(const dl_image *image, dl_quality *out)
     }
     out->chroma = chroma;
     const double range = quantile(values, 255, 1.0 - OUTERMOST, places) - quantile(values, 255, OUTERMOST, places);
-    out->contrast = fmin(1.0, fmax(LEAST_CONTRAST, range / CLEAR_RANGE));
-    const double sigma = quantile(counts, LARGEST, 0.25, places) / (QUARTILE * OF_DIFFERENCES), usual = USUAL * out->contrast;
+    out->contrast = fmin(1.0, fmax(LEAST_FRAME_CONTRAST, range / CLEAR_RANGE));
+    const double sigma = quantile(counts, LARGEST, 0.25, places) / (QUARTILE * OF_DIFFERENCES), usual = USUAL_VALUES * out->contrast;
     out->noise = sigma > usual ? sqrt(sigma * sigma - usual * usual) / 255.0 : 0.0;
     return 1;
 }

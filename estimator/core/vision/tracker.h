@@ -6,6 +6,12 @@
 
 #include <stddef.h>
 
+/* Contrast over its deviation from which a kind of edge is seen. */
+#define SNR_SEEN 5.0
+/* Cosine between the contrast and that of the pad's paints from which it is. With the white balance off by 20 % and light of 3000 K,
+ * white against green and orange against green stay above 0.8. */
+#define LIKENESS_SEEN 0.4
+
 /* The cells of a ring that a shape covers, and their shares; half of them where half a turn brings the shape onto itself. */
 typedef struct {
     int n, turns, cell[DL_POLAR_ANGLES];

@@ -6,12 +6,12 @@
 #include "base/rotation.h"
 #include "physics/physics.h"
 
-static const double FOOT_M = 0.3048;
+static const double FOOT_M = 0.3048; /* A foot, m. */
 /* Below this height over the water the wind is taken as at it, m. */
 static const double LOWEST_M = 0.5;
 /* Share of the wind that the wake can take: Perera's formula is not for the near wake, where it would take more than all. */
 static const double DEFICIT_MAX = 0.9;
-static const double WAKE_TURBULENCE = 0.32;
+static const double WAKE_TURBULENCE = 0.32; /* Turbulence in a wake, of its deficit. */
 
 /* Source: logarithmic profile of neutral air, U = U10 ln(h / z0) / ln(10 / z0), as in DNV-RP-C205 (2010), 2.3.2.4. */
 static double mean_wind(const dl_sim_air_params *o, double height)

@@ -11,7 +11,7 @@ static const double AFLOAT_M = 0.06;
 static const double ON_ITS_SIDE = 0.7;
 /* The share of a foot's slip that friction, within its limit, stops in a step. */
 static const double STOPS = 0.3;
-static const double UP[3] = {0.0, 0.0, -1.0};
+static const double UP[3] = {0.0, 0.0, -1.0}; /* Upwards in ned. */
 
 void relative_to_deck(const dl_sim_deck *g, const double p[3], const double v[3], const double R[9], const double w[3], relative *r)
 {

@@ -7,11 +7,12 @@
 
 /* Tesla north, east, down at Trondheim: 52 uT, 75 degrees dip, 4 degrees of declination, to the percent. */
 static const double EARTH_FIELD_NED_T[3] = {1.36e-5, 0.9e-6, 5.0e-5};
-static const double SEA_LEVEL_PA = 101325.0;
+static const double SEA_LEVEL_PA = 101325.0; /* Air pressure at sea level, Pa (ICAO standard atmosphere). */
 /* PWM in hover out of 255, as recorded in flight with a battery at half charge. */
 static const double HOVER_PWM = 170.0;
-/* Vibration is felt at the second harmonic of the blades of a two-bladed rotor, by its revolutions: over half of any rate of samples. */
-static const double HARMONIC = 4.0, TURN = 6.283185307179586;
+/* Vibration is felt at the second harmonic of the blades of a two-bladed rotor, over half of any rate of samples. */
+static const double HARMONIC = 4.0;
+static const double ROTOR_TURN = 6.283185307179586; /* A rotor's turn, rad. */
 
 /* The distance along a ray (unit, in ned) to the deck or else to the water; infinite where it meets neither. */
 static double reach(const dl_sim_vehicle_params *o, const dl_sim_deck *g, const double d[3], double above_water, const double ray[3])
@@ -103,7 +104,7 @@ void dl_sim_sensors_read(const dl_sim_vehicle_params *o, const dl_sim_vehicle *v
     rotated_back(v->R, felt, force);
     rotated_back(v->R, EARTH_FIELD_NED_T, field);
     for (int i = 0; i < 3; i++) {
-        const double shaken = e->vibration > 0.0 && turning ? e->vibration * sin(HARMONIC * TURN * v->revolutions + (double)i) : 0.0;
+        const double shaken = e->vibration > 0.0 && turning ? e->vibration * sin(HARMONIC * ROTOR_TURN * v->revolutions + (double)i) : 0.0;
         out->f_body[i] = e->accel_scale * force[i] + shaken + e->accel_bias[i] + e->accel_sigma[turning] * noise[DL_IMU_NOISE + i];
         out->w_body[i] = e->gyro_scale * v->w[i] + e->gyro_bias[i] + e->gyro_sigma[turning] * noise[DL_IMU_NOISE + 3 + i];
         out->magnetometer[i] = field[i] + e->field_bias[i] + e->field_sigma * noise[DL_FIELD_NOISE + i];

@@ -47,15 +47,15 @@ static void darken(const float *restrict u, const float *restrict v, const dl_si
     }
 }
 
-/* The corners of a square on the plane: those above, then those below. */
+/* The square_corners of a square on the plane: those above, then those below. */
 typedef struct {
     float u[4], v[4];
-} corners;
+} square_corners;
 
-static corners corners_at(const float *upper, int32_t columns)
+static square_corners corners_at(const float *upper, int32_t columns)
 {
     const float *at[4] = {upper, upper + 2, upper + 2 * columns, upper + 2 * columns + 2};
-    corners made;
+    square_corners made;
     for (int i = 0; i < 4; i++) {
         made.u[i] = at[i][0];
         made.v[i] = at[i][1];
@@ -63,7 +63,7 @@ static corners corners_at(const float *upper, int32_t columns)
     return made;
 }
 
-/* Where the pixels of a square are, between its corners. */
+/* Where the pixels of a square are, between its square_corners. */
 WIDE
 static void between(const float *corner, float *restrict at)
 {
@@ -77,7 +77,7 @@ static void between(const float *corner, float *restrict at)
 }
 
 /* Whether the shadow may reach a square: its middle is no further from rotor or hull than a corner and half of the soft edge. */
-static int reached(const corners *k, const dl_sim_drone_shade *shade)
+static int reached(const square_corners *k, const dl_sim_drone_shade *shade)
 {
     const float u = 0.25f * (k->u[0] + k->u[1] + k->u[2] + k->u[3]), v = 0.25f * (k->v[0] + k->v[1] + k->v[2] + k->v[3]);
     const float a = fabsf(u) - shade->rotor_at_m, b = fabsf(v) - shade->rotor_at_m;
@@ -113,7 +113,7 @@ static inline void copy_row(void *to, const void *from, size_t pixels, size_t si
     }
 }
 
-static void darken_square(const square *q, const corners *k, const dl_sim_drone_shade *shade, const uint8_t *mask, int16_t *gain)
+static void darken_square(const square *q, const square_corners *k, const dl_sim_drone_shade *shade, const uint8_t *mask, int16_t *gain)
 {
     float u[PIXELS], v[PIXELS];
     uint8_t covered[PIXELS];
@@ -150,7 +150,7 @@ void dl_sim_render_shadow(int32_t h, int32_t w, const dl_sim_plane_cells *cells,
     for (int32_t top = -DL_CELL_PX / 2; top < h; top += DL_CELL_PX) {
         const float *row = cells->at + 2 * (int64_t)cells->columns * ((top + DL_CELL_PX / 2) / DL_CELL_PX);
         for (int32_t left = -DL_CELL_PX / 2; left < w; left += DL_CELL_PX, row += 2) {
-            const corners k = corners_at(row, cells->columns);
+            const square_corners k = corners_at(row, cells->columns);
             if (reached(&k, shade)) {
                 const square q = square_at(h, w, left, top);
                 darken_square(&q, &k, shade, mask, gain);

@@ -11,8 +11,9 @@
 /* Number of rays that are followed together. */
 enum { TOGETHER = 32 };
 
-/* Weights of the slopes to north and to east, and the brightness of a slope of one. */
-static const double SLOPE_NORTH = 0.75, SLOPE_EAST = 0.66, PER_SLOPE = 150.0;
+static const double SLOPE_NORTH = 0.75; /* Weight of the slope to north. */
+static const double SLOPE_EAST = 0.66; /* Weight of the slope to east. */
+static const double PER_SLOPE = 150.0; /* Brightness of a slope of one. */
 static const double FAR_M = 1e4;
 /* Standard deviation of the facets' slopes that mirror the sun. */
 static const double GLITTER_SLOPE = 0.16;
@@ -30,9 +31,9 @@ static inline int32_t nearer(int32_t i, int32_t n)
 /* Where rays meet calm water, m, and the swell's slope there. */
 typedef struct {
     double north[TOGETHER], east[TOGETHER], slope[TOGETHER];
-} shore;
+} swell_shore;
 
-static void follow(const float *ray, const double *H, int k, shore *s)
+static void follow(const float *ray, const double *H, int k, swell_shore *s)
 {
     const double depth = H[6] * ray[0] + H[7] * ray[1] + H[8], per_depth = fabs(depth) > 1e-12 ? 1.0 / depth : 0.0;
     s->north[k] = limited((H[0] * ray[0] + H[1] * ray[1] + H[2]) * per_depth, -FAR_M, FAR_M);
@@ -50,7 +51,7 @@ static inline double sine_of_turns(double turns)
 }
 
 WIDE
-static void add_wave(const dl_sim_wave *v, double t_s, shore *s)
+static void add_wave(const dl_sim_wave *v, double t_s, swell_shore *s)
 {
     const double per_turn = 1.0 / 6.283185307179586, north = v->k[0] * per_turn, east = v->k[1] * per_turn;
     const double from = (v->phase_rad - v->w_rad_s * t_s) * per_turn;
@@ -86,7 +87,7 @@ static inline float beside(const float *at, int32_t i, int32_t n, int64_t step)
 static void slopes_along(const float *rays, int32_t columns, const dl_sim_swell *sea, int32_t w, float *out)
 {
     for (int32_t first = 0; first < w; first += 2 * TOGETHER) {
-        shore s;
+        swell_shore s;
         for (int32_t k = 0; k < TOGETHER; k++) {
             follow(rays + 2 * (int64_t)nearer(2 * nearer(first + 2 * k, w), columns), sea->plane_from_ray, k, &s);
         }

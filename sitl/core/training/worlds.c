@@ -9,7 +9,7 @@
 
 enum { MODES = 6, ROLL = 3, PITCH = 4, YAW = 5, HEIGHT = 2, HEADING = 3 };
 
-static const double TURN = 6.283185307179586;
+static const double TURN = 6.283185307179586; /* A turn, rad. */
 /* An estimate without sightings for longer than this ends as one that is lost, s. */
 static const double AGE_MAX_S = 5.0;
 

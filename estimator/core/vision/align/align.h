@@ -10,6 +10,15 @@
 #include "base/vectors.h"
 #include "vision/tracker.h"
 
+/* Standard deviation of a lens' blur, px. */
+#define LENS_BLUR_PX 0.7
+/* Standard deviation of a pixel's own square, px. */
+#define PIXEL_SIGMA 0.29
+/* Least depth of the pad's centre, m. */
+#define LEAST_DEPTH_M 0.02
+/* Weight of a paint of no light, per sample: a paint that is not in view is dark. */
+#define RIDGE 1e-4
+
 enum {
     /* The widest neighbourhood of a pixel whose mean light is subtracted, px to either side. */
     LOCAL_MAX = 128,

@@ -10,9 +10,11 @@
  * ring, and an arrowhead of unknown strength. */
 /* Residual variance of the projected light (disc 0, ring 1) that halves, roughly, the trust that nothing else lies there. */
 static const double CLEAR_VAR = 0.05;
-static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29, LEAST_CONTRAST = 1e-4, LEAST_SEEN = 0.6, LEAST_DEPTH_M = 1e-3;
+static const double LEAST_ARROW_CONTRAST = 1e-4; /* Contrast below which an arrowhead has no light of its own. */
+static const double LEAST_SEEN = 0.6; /* Share of its place in view from which it counts. */
+static const double SAMPLE_DEPTH_M = 1e-3; /* Least depth of a sample, m. */
 /* Strength of a whole arrowhead, in deviations of the noise, up to which it is hidden, and from which it is plain. */
-static const double HIDDEN = 2.0, PLAIN = 5.0;
+static const double ARROW_HIDDEN = 2.0, ARROW_PLAIN = 5.0;
 /* The regressors: constant, two slopes, ring; then the arrowhead; then the light. */
 enum { OTHERS = 4, ARROW = 4, LIGHT = 5, TERMS = 6 };
 
@@ -74,7 +76,7 @@ static void add(const dl_lens *c, const picture *of, const dl_pad_pose *pose, do
     for (int k = 0; k < 3; k++) {
         at[k] = pose->t[k] + pose->R[3 * k] * x + pose->R[3 * k + 1] * y;
     }
-    if (!(at[2] > LEAST_DEPTH_M)) {
+    if (!(at[2] > SAMPLE_DEPTH_M)) {
         return;
     }
     camera_project(c, at, uv);
@@ -94,7 +96,7 @@ static void add(const dl_lens *c, const picture *of, const dl_pad_pose *pose, do
 static double visibility(double energy, double var)
 {
     const double deviations = sqrt(energy / fmax(var, 1e-12));
-    return clipped((deviations - HIDDEN) / (PLAIN - HIDDEN), 0.0, 1.0);
+    return clipped((deviations - ARROW_HIDDEN) / (ARROW_PLAIN - ARROW_HIDDEN), 0.0, 1.0);
 }
 
 /* Found, seen, clear; `var` is the variance of the noise in the projected light, which is no sign of anything else. */
@@ -147,7 +149,7 @@ void align_arrow(const dl_tracker *t, const seen_part *seen, const dl_pad_pose *
     }
     memset(out, 0, 6 * sizeof *out);
     const double step = (double)(1 << part->level), pixel_m = step * pose->t[2] / c->fx;
-    if (length < LEAST_CONTRAST || pixel_m > 1.2 * p->arrow_depth_m) {
+    if (length < LEAST_ARROW_CONTRAST || pixel_m > 1.2 * p->arrow_depth_m) {
         return;
     }
     for (int k = 0; k < 3; k++) {

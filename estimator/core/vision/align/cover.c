@@ -9,8 +9,9 @@
 /* Something that covers a part of the pad is one region with a border. About the pad this border is taken for straight, and beyond
  * it everything for another thing of one colour: of all lines that one is searched for which this explains best. */
 enum { WAYS = 24, BINS = 24, ENOUGH = 400, LEAST = 30, COVER_WORK = 600 };
-/* Least share of the samples on either side of the line, and residual variance that a right drawing leaves anyway. */
-static const double LEAST_LEFT = 0.25, LEAST_COVERED = 0.06, FLOOR = 2e-4;
+static const double LEAST_LEFT = 0.25; /* Least share of the samples on the line's near side. */
+static const double LEAST_COVERED = 0.06; /* Least share on its far side. */
+static const double FLOOR = 2e-4; /* Residual variance that a right drawing leaves anyway. */
 
 /* What is certain of a sum of squares after rounding. */
 static const double ROUNDED = 0.999;

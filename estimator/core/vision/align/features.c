@@ -11,11 +11,11 @@ static const double NOISE = 0.012;
 /* Least difference of H and disc that the orange is placed between. */
 static const double LEAST_SPAN = 0.04;
 /* Linear light of a sample from which a frame clips it. */
-static const double CLIPPED = 0.98;
+static const double CLIPPED_LIGHT = 0.98;
 /* Deviations of the noise's sum that may be left of it by chance. */
 static const double CHANCE = 1.0;
 /* Largest gain that counts: a larger one depends more on the blur than on the pad. */
-static const double ENOUGH = 4.0;
+static const double ENOUGH_SAMPLES = 4.0;
 /* Factor on the visible fraction of a part: a part counts as missing if a fifth of it is in view and it does not show. */
 static const double TELLING = 5.0;
 /* Weight of one place without an arrowhead while the other is out of view, relative to two. */
@@ -101,7 +101,7 @@ static void gains_of(const int n[SECTORS], const double squared[SECTORS], const 
     for (int k = 0; k < SECTORS; k++) {
         if (change[k] > 0.2 * most + 1e-9) {
             const double floor = of->usual_var * 3.0 * n[k] + 1e-9, with_it = above_noise(n[k], squared[k], of) + 1e-9;
-            gains[count++] = clipped(log(fmax(change[k] - 2.0 * along[k] + with_it, floor) / with_it), -1.0, ENOUGH);
+            gains[count++] = clipped(log(fmax(change[k] - 2.0 * along[k] + with_it, floor) / with_it), -1.0, ENOUGH_SAMPLES);
         }
     }
     ordered(count, gains);
@@ -153,7 +153,7 @@ static double gain_of_all(const samples *s, const allowed *of)
             nothing += w * (double)s->light[c][i] * (double)s->light[c][i];
         }
     }
-    return s->n < FEWEST ? 0.0 : clipped(log(above_noise(weight, nothing, of) / above_noise(weight, squared, of)), 0.0, ENOUGH);
+    return s->n < FEWEST ? 0.0 : clipped(log(above_noise(weight, nothing, of) / above_noise(weight, squared, of)), 0.0, ENOUGH_SAMPLES);
 }
 
 /* 0..1: the excess of ring paint just inside or outside of the ring, which indicates a ring that is too wide. A ring that is merely
@@ -192,7 +192,7 @@ static double orange_off(const dl_pad_template *p, const painted *local, const d
         const double span = fmax(p->h_side[c] * ((double)local->paints[PAINT_H][c] - green), LEAST_SPAN * contrast);
         const double place = p->h_side[c] * ((double)local->paints[PAINT_ORANGE][c] - green) / span;
         const double above = clipped(place, -0.5, 1.5) - p->orange_place[c];
-        const int hidden = p->h_side[c] > 0.0 && brightest_h[c] >= CLIPPED && above > 0.0;
+        const int hidden = p->h_side[c] > 0.0 && brightest_h[c] >= CLIPPED_LIGHT && above > 0.0;
         off += hidden ? 0.0 : fabs(above) / 3.0;
     }
     return off;
@@ -235,7 +235,7 @@ static double missing(const part_gain *part)
 static void gains_of_parts(const samples *s, const painted *local, const zone zones[PARTS], double side_m, const allowed *of,
                            part_gain parts[PARTS])
 {
-    part_gain least = {ENOUGH, ENOUGH, 0.0};
+    part_gain least = {ENOUGH_SAMPLES, ENOUGH_SAMPLES, 0.0};
     for (int k = 0; k < PARTS; k++) {
         if (zones[k].drawn) {
             parts[k] = gain_of_part(s, local, &zones[k], side_m, of);

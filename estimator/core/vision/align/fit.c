@@ -5,8 +5,8 @@
 
 #include "vision/align/align.h"
 
-/* Coverage above which a sample shows one paint alone. */
-static const float PURE = 0.85f, TRUSTED = 0.5f;
+static const float PURE = 0.85f; /* Coverage above which a sample shows one paint alone. */
+static const float TRUSTED = 0.5f; /* Weight from which a sample counts. */
 /* Coverage by the H from which a sample's light may be clipped because of it. */
 static const float SOME_H = 0.25f;
 /* Work of each sample. */

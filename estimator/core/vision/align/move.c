@@ -13,10 +13,10 @@
 enum { FEW = 350, POSE = 6, SUMS = 27 };
 /* Step, in samples, below which the pose is good enough to start a registration. */
 static const double AT_REST = 0.12;
-/* Longest step, in depths and in rad, and the largest change of the depth's logarithm in all. */
-static const double STEP_DEPTHS = 0.12, STEP_RAD = 0.25, DEPTH_CHANGE = 0.7;
-/* Least depth of the pad's centre, m, and least cosine between the pad's normal and the camera's axis. */
-static const double LEAST_DEPTH_M = 0.02, LEAST_FACING = 0.2;
+static const double STEP_DEPTHS = 0.12; /* Longest step, in depths. */
+static const double STEP_RAD = 0.25; /* Longest step, rad. */
+static const double DEPTH_CHANGE = 0.7; /* Largest change of the depth's logarithm in all. */
+static const double LEAST_ALIGNED_FACING = 0.2; /* Least cosine between the pad's normal and the camera's axis. */
 /* Fractions of the variation about the pad that the drawing must explain at the start of a search, after half of the steps, and at
  * the end. Of 290 pads that were found 2 % had less than 0.12 at the start and 0.55 at the end; of 2200 false candidates 40 % and
  * 65 %. */
@@ -25,7 +25,6 @@ static const double LEAST_AT_START = 0.10, LEAST_HALFWAY = 0.15, LEAST_AT_END = 
 static const double FAR_PX = 16.0, LEAST_FAR_AT_START = 0.05, LEAST_FAR_HALFWAY = 0.12, LEAST_FAR_AT_END = 0.25;
 /* Work of a step for each sample. */
 enum { STEP_WORK = 220 };
-static const double LENS_BLUR_PX = 0.7, PIXEL_SIGMA = 0.29;
 
 int align_blur_at(const dl_lens *c, const dl_pad_template *p, double side_m, double depth_m)
 {
@@ -134,7 +133,7 @@ static int stepped(const double step[POSE], double depth_m, dl_pad_pose *pose)
     for (int i = 0; i < 3; i++) {
         pose->t[i] += moved[i];
     }
-    return pose->t[2] > LEAST_DEPTH_M && fabs(log(pose->t[2] / depth_m)) < DEPTH_CHANGE && R[8] > LEAST_FACING;
+    return pose->t[2] > LEAST_DEPTH_M && fabs(log(pose->t[2] / depth_m)) < DEPTH_CHANGE && R[8] > LEAST_ALIGNED_FACING;
 }
 
 /* The least that the drawing must explain before step i, or 0 without a requirement. */

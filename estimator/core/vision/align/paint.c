@@ -10,14 +10,12 @@
 #include "base/wide.h"
 
 /* Residual, as a fraction of full scale, that the model leaves even where it is right (wear, noise, ripples). */
-static const double NOISE = 0.02;
-/* Fraction of the samples that are certainly neither occluded nor overexposed, and the factors from their largest residual to a
- * usual one: while the pose moves, and at the final pose, where a sample that still does not fit shows something else. */
-static const double SOUND = 0.25, SPREAD = 2.0, SPREAD_SHARP = 1.6;
-/* Weight of a paint of no light, per sample: a paint that is not in view is dark. */
-static const double RIDGE = 1e-4;
+static const double MODEL_NOISE = 0.02;
+static const double SOUND = 0.25; /* Fraction of the samples that are certainly neither occluded nor overexposed. */
+static const double SPREAD = 2.0; /* Factor from their largest residual to a usual one while the pose moves. */
+static const double SPREAD_SHARP = 1.6; /* The same at the final pose, where a sample that still does not fit shows something else. */
 /* Deviations of the noise's sum below which nothing is left to explain. */
-static const double CHANCE = 4.0;
+static const double CHANCE_SIGMAS = 4.0;
 /* Products of four coverages with each other and with three channels of light. */
 enum { PRODUCTS = 22 };
 
@@ -133,7 +131,7 @@ static double largest_light(const samples *s)
 
 int align_paint(samples *s, int final, painted *out)
 {
-    const double least = fmax(1e-4, NOISE * sqrt(largest_light(s)));
+    const double least = fmax(1e-4, MODEL_NOISE * sqrt(largest_light(s)));
     for (int i = s->n; i < s->room; i++) {
         s->weight[i] = 0.0f;
     }
@@ -169,6 +167,6 @@ double align_explained(const samples *s, double noise_var)
         const double sum = align_sum(&mean[c]);
         total += align_sum(&square[c]) - sum * sum / align_sum(&weight);
     }
-    const double count = 3.0 * align_sum(&weight), by_chance = CHANCE * noise_var * sqrt(2.0 * count);
+    const double count = 3.0 * align_sum(&weight), by_chance = CHANCE_SIGMAS * noise_var * sqrt(2.0 * count);
     return (total - align_sum(&left)) / fmax(fmax(total - noise_var * count, by_chance), 1e-12);
 }

@@ -7,8 +7,6 @@
 #include "base/linear.h"
 
 enum { LIGHT = 4, ONE = 7 };
-/* Ridge of a fit, per sample: a paint may cover none of them. */
-static const double RIDGE = 1e-4;
 
 void align_total(int n, fit_sums *of, fit_sums out)
 {

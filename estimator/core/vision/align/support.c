@@ -8,9 +8,9 @@
 /* Cells along a side, about how many samples each has, and the fewest that count. */
 enum { CELLS = 7, SAMPLES = 50, FEWEST = 8 };
 /* Residual in the square root of light, full scale 1, that a right drawing leaves anyway in a clear frame. */
-static const double USUAL = 0.012;
+static const double USUAL_NOISE = 0.012;
 /* Log-odds against a cell being hidden: that much speaks against the pad where another thing is seen in its place, and no more. */
-static const double HIDDEN = 2.0;
+static const double SUPPORT_HIDDEN = 2.0;
 /* A Gaussian blurs this many pixels into one, by its variance in pixels: 4 pi. */
 static const double GROUP = 12.566370614359172;
 
@@ -44,7 +44,7 @@ void align_support(const dl_pad_template *p, const samples *s, int blur, double 
     }
     /* Blurred pixels are no separate witnesses: this many are one. */
     const double blur_px = exp(p->log_blur[blur]) / side_m, group = 1.0 + GROUP * blur_px * blur_px;
-    const double usual = USUAL * of->contrast, var = usual * usual + of->noise * of->noise;
+    const double usual = USUAL_NOISE * of->contrast, var = usual * usual + of->noise * of->noise;
     double agrees = 0.0;
     for (int k = 0; k < side * side; k++) {
         const cell *at = &cells[k];
@@ -54,7 +54,7 @@ void align_support(const dl_pad_template *p, const samples *s, int blur, double 
         const double floor = 3.0 * at->n * var + 1e-9, witnesses = 0.5 * at->n / group;
         const double could = witnesses * log1p(at->drawn / floor), support = witnesses * log((at->seen + floor) / (at->left + floor));
         out->could += could;
-        out->support += fmax(support, -fmin(HIDDEN, could));
+        out->support += fmax(support, -fmin(SUPPORT_HIDDEN, could));
         agrees += fmax(0.0, support > could ? could : support);
         out->against += support < 0.0 ? could : 0.0;
     }

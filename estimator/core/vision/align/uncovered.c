@@ -11,7 +11,7 @@
 enum { SECTORS = 8, ENOUGH = 650, LEAST = 30 };
 /* A half is trusted first if its unexplained fraction of the light's variation is below this multiple of the whole's. */
 static const double MUCH = 0.4;
-static const float COVERED = 1e-3f;
+static const float NEXT_TO_NOTHING = 1e-3f; /* Weight of samples on the side that is covered. */
 
 int align_sector(float x, float y)
 {
@@ -61,6 +61,6 @@ void align_uncovered(samples *s)
     }
     for (int i = 0; i < s->n; i++) {
         const int sector = align_sector(s->x[i], s->y[i]);
-        s->weight[i] = best < 0 || (sector - best + SECTORS) % SECTORS < SECTORS / 2 ? 1.0f : COVERED;
+        s->weight[i] = best < 0 || (sector - best + SECTORS) % SECTORS < SECTORS / 2 ? 1.0f : NEXT_TO_NOTHING;
     }
 }

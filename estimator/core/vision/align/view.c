@@ -11,8 +11,7 @@ enum { BOX_POINTS = 24, LEAST_PX = 3 };
 enum { MARGIN_PX = 2 };
 /* Pixels of the chosen level along the arrowhead, if the frame has as many. */
 static const double ARROW_SAMPLES = 5.0;
-/* Least depth of the pad's centre, and of a point that is projected, m. */
-static const double LEAST_DEPTH_M = 0.02, LEAST_PROJECTED_M = 0.05;
+static const double LEAST_PROJECTED_M = 0.05; /* Least depth of a point that is projected, m. */
 
 static int finite_pose(const dl_pad_pose *pose)
 {

@@ -7,12 +7,12 @@
 #include "vision/register/sums.h"
 #include "vision/tracker.h"
 
-/* Most white light added to a paint that still shows, in its own light; the share of white in its median that may be such light. */
-static const float WHITE_MOST = 2.0f, PURER = 0.8f;
-/* Any amount of white is mirrored light where this share of the paint's own light is left, or from this light on. */
-static const float GLARE_OWN = 0.4f, MIRRORED = 2.5f;
-/* The light from which on differences count in parts of it; the largest change of blue against red that shade makes. */
-static const float STRONG = 1.5f, SKY_MOST = 0.3f;
+static const float WHITE_MOST = 2.0f; /* Most white light added to a paint that still shows, in its own light. */
+static const float PURER = 0.8f; /* Share of white in its median that may be such light. */
+static const float GLARE_OWN = 0.4f; /* Share of the paint's own light that is left where any amount of white is mirrored light. */
+static const float MIRRORED = 2.5f; /* Light from which on it is, too. */
+static const float STRONG_LIGHT = 1.5f; /* Light from which on differences count in parts of it. */
+static const float SKY_MOST = 0.3f; /* Largest change of blue against red that shade makes. */
 /* What is farther from the plane than this many deviations does not shape it. */
 static const float NEAR = 3.0f * 1.4826f;
 enum { CELLS_MAX = 1 << 16 };
@@ -125,7 +125,7 @@ int32_t dl_paint_rest(const float *light, const float *place, int32_t cells, con
             /* Mirrored light is any amount of white, of which a part may be a thing's. That hides markings. */
             left[k] -= mirrored ? one[i] * axis[k] + of_white * hue[k] : of_own * axis[k] + of_pale * pale[k];
             /* What is much brighter than the paint is off by errors of colour that grow with it. */
-            left[k] /= fmaxf(1.0f, bright / STRONG);
+            left[k] /= fmaxf(1.0f, bright / STRONG_LIGHT);
         }
         const float blue = power > 1e-6f ? fmaxf(-SKY_MOST, fminf(SKY_MOST, dot(left, sky) / power)) : 0.0f;
         for (int k = 0; k < 3; k++) {

@@ -6,16 +6,14 @@
 #include "vision/lamps/lamps.h"
 #include "vision/tracker.h"
 
-/* How far the centre of a spot may lie from its lamp, beyond the reach, in radii of the spot: of one lamp, and of the middle of
- * several lamps that share the spot. */
-static const double ALONE = 0.06, SHARED = 0.35;
-/* A lamp this near to the frame's edge, and this many of its radii, need not show: its spot may be cut. */
-static const double INSET_PX = 5.0, INSET_RADII = 2.0;
+static const double ALONE = 0.06; /* How far the centre of a spot may lie from its lamp, beyond the reach, in radii of the spot. */
+static const double SHARED = 0.35; /* The same from the middle of several lamps that share the spot. */
+static const double INSET_PX = 5.0; /* Distance from the frame's edge within which a lamp need not show, px: its spot may be cut. */
+static const double INSET_RADII = 2.0; /* The same in its radii, besides. */
 /* Radius of the pad's surroundings over that of the outermost lamp: other spots in them speak against the pad. */
 static const double ABOUT = 1.2;
 /* Distance of a lamp without a spot from those that have one at which it would make its own, px. */
 static const double APART_PX = 6.0;
-static const double NEAREST_M = 0.02, PI = 3.14159265358979323846;
 
 /* Lamps in the frame, px, and which are in view. */
 typedef struct {
@@ -36,7 +34,7 @@ static void project_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, con
         double p[3];
         pad_point(pose, pad->x_m[k], pad->y_m[k], p);
         camera_project(camera, p, out->uv[k]);
-        const double inset = INSET_PX + INSET_RADII * camera->fx * pad->radius_m[k] / fmax(p[2], NEAREST_M);
+        const double inset = INSET_PX + INSET_RADII * camera->fx * pad->radius_m[k] / fmax(p[2], NEAREST_LAMP_M);
         const double u = out->uv[k][0], v = out->uv[k][1];
         out->in_view[k] = u > inset && v > inset && u < (double)camera->width - 1.0 - inset && v < (double)camera->height - 1.0 - inset;
     }
@@ -120,14 +118,14 @@ static void count_strangers(const dl_lens *camera, const dl_lamp_pattern *pad, c
     }
     out->strangers = 0, out->area_px2 = 1.0;
     pad_point(pose, x, y, p);
-    if (!(p[2] > NEAREST_M)) {
+    if (!(p[2] > NEAREST_LAMP_M)) {
         return;
     }
     camera_project(camera, p, uv);
     const double radius = camera->fx * ABOUT * reach_m / p[2];
     const double width_px = length_in_frame(uv[0], radius, (double)camera->width);
     const double height_px = length_in_frame(uv[1], radius, (double)camera->height);
-    out->area_px2 = PI / 4.0 * width_px * height_px;
+    out->area_px2 = LAMPS_PI / 4.0 * width_px * height_px;
     for (int k = 0; k < spots->n; k++) {
         out->strangers += !explained[k] && distance(uv, spots->spot[k].uv) < radius;
     }

@@ -15,9 +15,10 @@ static const float GAUSSIAN[BLUR + 1] = {37346.0f / 65536.0f, 13461.0f / 65536.0
 enum { PEAK = 3, SEGMENT = 32 };
 /* Sampling step of rows and columns for the noise. */
 enum { NOISE_STEP = 4 };
-/* Least brightness over the background: linear light, and in standard deviations of the noise; as a part of the brightest one's, for
- * the halo of a lamp near by has faint peaks; and of the peak's beside it, so that two lamps are two spots down to some 3 px. */
-static const double FULL = 65535.0, LEAST = 0.004, NOISES = 7.0, BRIGHTEST = 0.03;
+static const double FULL = 65535.0; /* The largest value of the light. */
+static const double LEAST = 0.004; /* Least brightness over the background, linear light. */
+static const double NOISES = 7.0; /* The same, in standard deviations of the noise. */
+static const double BRIGHTEST = 0.03; /* The same, of the brightest one's: the halo of a lamp near by has faint peaks. */
 /* 0.6 */
 enum { OF_PEAK = 3, OF_PEAKS = 5 };
 /* Median of the absolute value of a standard normal number. */
@@ -32,7 +33,7 @@ typedef struct {
     uint16_t *ring, *smooth, *over, *highest, *differences;
     uint8_t *largest;
     bright_run *run;
-} workspace;
+} bright_space;
 
 static int64_t segments_of(int64_t width)
 {
@@ -50,10 +51,10 @@ static int64_t sums_of(int64_t width)
     return pitch_of(width) + 2 * BACKGROUND + SEGMENT;
 }
 
-static workspace divide(int64_t width, int64_t height, arena *a)
+static bright_space divide(int64_t width, int64_t height, arena *a)
 {
     const int64_t pitch = pitch_of(width), segments = segments_of(width), sums = 4 * sums_of(width), half = sizeof(uint16_t);
-    workspace w = {.width = (int)width, .height = (int)height, .pitch = (int)pitch, .segments = (int)segments};
+    bright_space w = {.width = (int)width, .height = (int)height, .pitch = (int)pitch, .segments = (int)segments};
     w.run = take(a, BRIGHT_RUNS * (int64_t)sizeof *w.run);
     w.sums = take(a, sums), w.twos = take(a, sums), w.fours = take(a, sums), w.eights = take(a, sums);
     w.down = take(a, sums);
@@ -93,7 +94,7 @@ static void largest_of_three(int n, const uint8_t *restrict px, uint8_t *restric
 }
 
 /* The light of the brightest channel of each pixel of a row. */
-static uint16_t *light_row(const lit_part *part, const workspace *w, int row)
+static uint16_t *light_row(const lit_part *part, const bright_space *w, int row)
 {
     uint16_t *out = w->ring + (int64_t)(row % RING) * w->pitch;
     largest_of_three(CHANNELS * w->width - 2, part->px + (int64_t)row * part->stride, w->largest);
@@ -128,7 +129,7 @@ static void add_shifted(int n, const uint32_t *restrict in, int by, uint32_t *re
 }
 
 /* Sums of sixteen columns, and `eights` take their place. */
-static void window_sums(const workspace *w)
+static void window_sums(const bright_space *w)
 {
     const int n = w->width;
     uint32_t *sums = w->sums;
@@ -184,7 +185,7 @@ static void highest_of(int segments, const uint16_t *restrict over, uint16_t *re
 }
 
 /* Begin the sums of the columns with the window about the first row. */
-static void first_window(const lit_part *part, const workspace *w)
+static void first_window(const lit_part *part, const bright_space *w)
 {
     for (int row = 0; row <= BACKGROUND && row < w->height; row++) {
         light_row(part, w, row);
@@ -195,7 +196,7 @@ static void first_window(const lit_part *part, const workspace *w)
 }
 
 /* Move the window from a row to the next one. */
-static void next_window(const lit_part *part, const workspace *w, int row)
+static void next_window(const lit_part *part, const bright_space *w, int row)
 {
     const int ahead = row + BACKGROUND + 1;
     if (ahead < w->height) {
@@ -205,7 +206,7 @@ static void next_window(const lit_part *part, const workspace *w, int row)
     sum_row(w->width, w->ring + (int64_t)(mirrored(row - BACKGROUND, w->height) % RING) * w->pitch, w->sums + BACKGROUND);
 }
 
-static void blur_row(const workspace *w, int row)
+static void blur_row(const bright_space *w, int row)
 {
     const uint16_t *rows[2 * BLUR + 1];
     const int n = w->width;
@@ -221,7 +222,7 @@ static void blur_row(const workspace *w, int row)
 }
 
 /* Smooth a part's light and take its background off; returns the number of differences for the noise. */
-static int brighten(const lit_part *part, const workspace *w)
+static int brighten(const lit_part *part, const bright_space *w)
 {
     int n = 0;
     memset(w->over, 0, (size_t)PEAK * (size_t)w->pitch * sizeof *w->over);
@@ -275,7 +276,7 @@ static double noise_of(int n, const uint16_t *differences)
     return 0.5 * (order_statistic(n, differences, n / 2) + order_statistic(n, differences, (n - 1) / 2)) / (NORMAL * sqrt(2.0));
 }
 
-static double least_of(const workspace *w, double noise)
+static double least_of(const bright_space *w, double noise)
 {
     int highest = 0;
     for (int64_t k = 0; k < (int64_t)w->segments * w->height; k++) {
@@ -330,7 +331,7 @@ int bright_places(const lit_part *part, uint32_t *scratch, bright_part *out)
 {
     uint8_t bright[SEGMENT];
     arena memory = {scratch, 0};
-    workspace w = divide(part->width, part->height, &memory);
+    bright_space w = divide(part->width, part->height, &memory);
     memset(w.sums, 0, (size_t)((char *)w.ring - (char *)w.sums));
     const int differences = brighten(part, &w);
     out->width = w.width, out->height = w.height, out->pitch = w.pitch, out->runs = 0;

@@ -14,7 +14,7 @@ enum { STEPS = 6, ROW = 6 };
 static const double ROBUST = 3.0;
 /* Standard deviation, px, of the centre of a spot that several lamps share: they are not equally bright. */
 static const double MERGED_PX = 0.15;
-static const double NEAREST_M = 0.02, LEAST_TILT_VAR = 1e-8;
+static const double LEAST_LAMPS_TILT_VAR = 1e-8; /* Least variance of the deck's tilt, rad^2. */
 
 /* A spot and the lamps in it: its ray, its standard deviation in rays, how far the lamps' middle is from it, and how that moves with
  * the pose. */
@@ -44,7 +44,7 @@ static void expect_level(const dl_lens *camera, const dl_tilt_prior *prior, leve
 {
     /* An error of roll turns the normal to port, one of pitch ahead, each by its axis' horizontal part. */
     const double c = cos(prior->pitch_rad), *cov = prior->cov_tilt;
-    const double deck = prior->sigma_deck_rad * prior->sigma_deck_rad + LEAST_TILT_VAR;
+    const double deck = prior->sigma_deck_rad * prior->sigma_deck_rad + LEAST_LAMPS_TILT_VAR;
     const double xx = cov[3] + deck, yy = c * c * cov[0] + deck, xy = -c * cov[1], det = xx * yy - xy * xy;
     level_of_camera(camera, prior, out->R_level_cam);
     out->information[0][0] = yy / det, out->information[1][1] = xx / det;
@@ -76,7 +76,7 @@ static int add_lamp(const dl_pad_pose *pose, double x_m, double y_m, lamp_group 
         arm[i] = pose->R[3 * i] * x_m + pose->R[3 * i + 1] * y_m;
         p[i] = arm[i] + pose->t[i];
     }
-    if (!(p[2] >= NEAREST_M)) {
+    if (!(p[2] >= NEAREST_LAMP_M)) {
         return 0;
     }
     const double share = 1.0 / g->lamps, z = p[2];
@@ -246,7 +246,7 @@ int fit_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_tilt_p
         move_pose(step, &out->pose);
     }
     orthonormalise(out->pose.R);
-    if (!(out->pose.t[2] >= NEAREST_M) || !isfinite(out->pose.t[0]) || !isfinite(out->pose.t[1]) || !isfinite(out->pose.t[2])) {
+    if (!(out->pose.t[2] >= NEAREST_LAMP_M) || !isfinite(out->pose.t[0]) || !isfinite(out->pose.t[1]) || !isfinite(out->pose.t[2])) {
         return 0;
     }
     for (int g = 0; g < groups.n; g++) {

@@ -20,8 +20,8 @@ static const double SMALL_PX = 30.0;
 static const double LOWEST_M = 0.1, HIGHEST_M = 40.0;
 /* Cosine of the flattest ray that is looked at. */
 static const double LEAST_DOWN = 0.2;
-/* Two guesses are one within this part of the range, and this cosine of the turn between them: 0.1 rad. */
-static const double ONE_PLACE = 0.02, ONE_HEADING = 0.9950041652780258;
+static const double ONE_PLACE = 0.02; /* Part of the range within which two guesses are one. */
+static const double ONE_HEADING = 0.9950041652780258; /* Cosine of the turn between them within which they are: 0.1 rad. */
 
 /* Forward and right over down as a complex number: a turn clockwise, seen from above, is a factor. */
 typedef struct {

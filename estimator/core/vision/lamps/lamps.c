@@ -18,8 +18,8 @@ enum { PIXEL_WORK = 7, LAMP_WORK = 24 };
 enum { SHIFTED = 18 };
 /* Reach of a lamp's spot about a searched pose, and about a fitted one, px. */
 static const double SEARCHED_PX = 3.0, FITTED_PX = 0.8;
-/* Margin of the part of a frame about the expected lamps: as a part of their extent, and px. */
-static const double MARGIN = 0.25, MARGIN_PX = 24.0;
+static const double MARGIN = 0.25; /* Margin of the part of a frame about the expected lamps, of their extent. */
+static const double MARGIN_PX = 24.0; /* The same, px, besides. */
 /* Share of the frame from which such a part is taken as the whole, whose spots serve for a search, too. */
 static const double MOST_OF_FRAME = 0.5;
 /* A deck's and an attitude's errors of tilt, rad: what they add to the first reach, as a part of the pattern's radius in the frame. */
@@ -29,22 +29,23 @@ enum { DISTANCES = 6 };
 static const double WITHIN_PX[DISTANCES] = {0.1, 0.25, 0.4, 0.6, 0.9, 1.3};
 /* Least number of spots that are lamps, and least part of those that the lamps in view would make. */
 enum { LEAST_SEARCHED = 4, LEAST_TRACKED = 3 };
-static const double LEAST_SHARE = 0.6;
+static const double LEAST_SHARE = 0.6; /* That part. */
 /* Number of different poses about an expected one. */
 static const double EXPECTED_TESTS = 20.0;
 /* Logarithm of the number of false alarms at which lights are as likely the pad's as not: one frame in a hundred. */
 static const double EVEN_LOG10 = -2.0;
 /* What a light among the lamps that is none of them speaks against the pad, and a lamp in view that does not shine. */
 static const double STRANGER_LOG10 = 0.7, MISSING_LOG10 = 0.5;
-/* What each standard deviation by which the middle spot is farther off than this many speaks against the pad. */
-static const double ASTRAY_SIGMAS = 3.0, ASTRAY_LOG10 = 1.0;
-/* Limits of the odds. */
-static const double LEAST_LOG10 = -12.0, MOST_LOG10 = 12.0, MOST_CHANCE = 0.9, LEAST_TAIL = 1e-300;
+static const double ASTRAY_SIGMAS = 3.0; /* Standard deviations by which the middle spot may be off. */
+static const double ASTRAY_LOG10 = 1.0; /* What each one more speaks against the pad. */
+static const double LEAST_LOG10 = -12.0; /* Least odds. */
+static const double MOST_LOG10 = 12.0; /* Largest odds. */
+static const double MOST_CHANCE = 0.9; /* Largest chance of a test. */
+static const double LEAST_TAIL = 1e-300; /* Least probability that a logarithm is taken of. */
 /* Confidence below which lights are no sighting at all. */
 static const double WORTH_TELLING = 0.01;
-/* Two answers differ by this part of the range, or by this angle: less than a lamp's own step around the pad. */
-static const double APART = 0.1, TURNED_RAD = 0.2;
-static const double PI = 3.14159265358979323846;
+static const double ANSWERS_APART = 0.1; /* Part of the range by which two answers differ: less than a lamp's own step around the pad. */
+static const double TURNED_RAD = 0.2; /* Angle by which they do, rad. */
 
 /* Per-frame constants. */
 typedef struct {
@@ -88,7 +89,7 @@ static double log10_tail(int n, int k, double p)
 static double chance(const lamp_assignment *of, double within_px)
 {
     const double spots = of->groups + of->strangers;
-    return fmin(MOST_CHANCE, spots * PI * within_px * within_px / of->area_px2);
+    return fmin(MOST_CHANCE, spots * LAMPS_PI * within_px * within_px / of->area_px2);
 }
 
 /* The logarithm of the odds that these spots are the pad's lamps and no other lights. Two spots give a similarity; a third one lies
@@ -149,7 +150,7 @@ static int differ(const dl_pad_pose *a, const dl_pad_pose *b)
     double turn[9];
     const double off[3] = {a->t[0] - b->t[0], a->t[1] - b->t[1], a->t[2] - b->t[2]};
     product_by_transposed(a->R, b->R, turn);
-    return sqrt(dot(off, off)) > APART * range_of(b) || 0.5 * (turn[0] + turn[4] + turn[8] - 1.0) < cos(TURNED_RAD);
+    return sqrt(dot(off, off)) > ANSWERS_APART * range_of(b) || 0.5 * (turn[0] + turn[4] + turn[8] - 1.0) < cos(TURNED_RAD);
 }
 
 /* How sure the best answer is: what explains the frame nearly as well in another place or heading is as likely the pad. */

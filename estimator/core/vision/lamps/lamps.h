@@ -4,6 +4,10 @@
 
 #include "vision/tracker.h"
 
+/* Least depth of a lamp, m. */
+#define NEAREST_LAMP_M 0.02
+#define LAMPS_PI 3.14159265358979323846
+
 /* The most rows of pixels that the bright places of a frame are made of: a dark deck with as many lights as a pad may have, and
  * each of them as near as the camera comes, has less. */
 enum { BRIGHT_RUNS = 4096 };

@@ -8,15 +8,16 @@
 
 /* Distance from the edge within which a spot counts as cut, px. */
 enum { EDGE = 3 };
-/* The largest part of the frame that a spot covers; the largest ratio of its sides: motion draws a lamp out, a lit edge is longer. */
-static const double LARGEST = 0.02, LONGEST = 4.0, LONGER_PX = 3.0;
-/* Radius of a spot over that of another one, and its distance in radii of that, below which it is a part of the other's halo. */
-static const double MUCH_SMALLER = 0.4, HALO = 2.7, HALO_PX = 4.0;
-/* Standard deviation of a spot's centre that saturation and the lens leave besides noise: px, and as a part of its radius. */
-static const double CENTRE_PX = 0.06, OF_RADIUS = 0.015;
-/* Standard deviation that the light of another spot in the same place would leave, px; from this distance on it leaves none. */
-static const double CROWDED_PX = 0.3, CROWDED_WITHIN_PX = 7.0;
-static const double PI = 3.14159265358979323846;
+static const double LARGEST_SPOT = 0.02; /* Largest part of the frame that a spot covers. */
+static const double LONGEST_SPOT = 4.0; /* Largest ratio of its sides: motion draws a lamp out, a lit edge is longer. */
+static const double LONGER_PX = 3.0; /* What a side may be longer besides, px. */
+static const double MUCH_SMALLER = 0.4; /* Radius of a spot over that of another one below which it may be a part of the other's halo. */
+static const double HALO = 2.7; /* Distance, in radii of the other, below which it is. */
+static const double HALO_PX = 4.0; /* The same, px, besides. */
+static const double CENTRE_PX = 0.06; /* Standard deviation of a spot's centre that saturation and the lens leave besides noise, px. */
+static const double OF_RADIUS = 0.015; /* The same as a part of its radius. */
+static const double CROWDED_PX = 0.3; /* Standard deviation that the light of another spot in the same place would leave, px. */
+static const double CROWDED_WITHIN_PX = 7.0; /* Distance from which on it leaves none, px. */
 /* At most this many of the brightest are examined. */
 enum { COMPARED = 128 };
 
@@ -87,7 +88,7 @@ static int is_lamp(const bright_part *part, const spot_sums *s)
 {
     const int width = s->right - s->left + 1, height = s->low - s->top + 1;
     const int longer = width > height ? width : height, shorter = width > height ? height : width;
-    return (double)s->n <= LARGEST * part->width * part->height && longer <= LONGEST * shorter + LONGER_PX && s->left >= EDGE &&
+    return (double)s->n <= LARGEST_SPOT * part->width * part->height && longer <= LONGEST_SPOT * shorter + LONGER_PX && s->left >= EDGE &&
            s->top >= EDGE && s->right + 1 + EDGE <= part->width && s->low + 1 + EDGE <= part->height;
 }
 
@@ -96,7 +97,7 @@ static lamp_spot spot_at(const bright_part *part, const lit_part *of, const spot
     const double light = fmax((double)s->light, 1.0), u = (double)s->light_u / light, v = (double)s->light_v / light;
     const double n = (double)s->n;
     const double squares = (double)s->squares - 2.0 * (u * (double)s->u + v * (double)s->v) + n * (u * u + v * v);
-    lamp_spot spot = {{u + of->left, v + of->top}, 0.0, sqrt(n / PI)};
+    lamp_spot spot = {{u + of->left, v + of->top}, 0.0, sqrt(n / LAMPS_PI)};
     const double by_noise = fmax(part->noise, 1.0) * sqrt(fmax(squares, 0.0) / 2.0) / light;
     spot.sigma = hypot(hypot(CENTRE_PX, OF_RADIUS * spot.radius), by_noise);
     return spot;

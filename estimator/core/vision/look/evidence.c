@@ -8,14 +8,12 @@
 /* Kinds of edges, and channels. */
 enum { DISC = 0, RING = 1, ARROW = 2, H = 3, UPPER = 4, CHANNELS = 3 };
 
-/* Contrast over its deviation, share of the edges that agree, and cosine to the pad's paints, from which a kind of edge is seen.
- * With the white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
-static const double SNR_SEEN = 5.0, INLIERS_SEEN = 0.5, LIKENESS_SEEN = 0.4;
+static const double INLIERS_SEEN = 0.5; /* Share of its edges that agree from which a kind of edge is seen. */
 /* Factor on the visible fraction: a kind of edge counts as fully in view from a fifth on. */
-static const double TELLING = 5.0;
-/* Gains of the better half of a ring between which it counts as increasingly visible, and what remains of the missing ring if a
- * quarter of it agrees. */
-static const double RING_GAIN_LOW = 1.6, RING_GAIN_HIGH = 2.2, HALF_A_RING = 0.4;
+static const double TELLING_SNR = 5.0;
+static const double RING_GAIN_LOW = 1.6; /* Gain of the better half of a ring up to which it does not count as visible. */
+static const double RING_GAIN_HIGH = 2.2; /* Gain from which it does. */
+static const double HALF_A_RING = 0.4; /* What remains of the missing ring if a quarter of it agrees. */
 /* Contrast of the disc to its surroundings over the H's to the disc: 0.15 on a grey deck, less on a dark one. */
 static const double PLAIN_DISC = 0.1;
 /* Contrast of a disc without colour over its deviation up to which it counts as none, and from which as one. */
@@ -49,8 +47,8 @@ static const double OTHER_H = 0.8, THIS_H = 0.95;
 static const double UPPER_IN_VIEW = 0.5;
 /* Unexplained displacement of the edges, rms, px, up to which they are in place, and from which they are not. */
 static const double IN_PLACE_PX = 0.6, ASTRAY_PX = 0.9;
-/* Least contrast that another is compared with. */
-static const double LEAST_CONTRAST = 1e-3, NO_CONTRAST = 1e-6;
+static const double LEAST_COMPARED_CONTRAST = 1e-3; /* Least contrast that another is compared with. */
+static const double NO_CONTRAST = 1e-6; /* Contrast of an edge that shows none. */
 
 /* 0..1: 1 at `yes`, 0 at `no`, and linear between. */
 static double ramp(double yes, double no, double value)
@@ -79,7 +77,7 @@ static int no_h_shows(const dl_registration *found)
 static void orange_off(const dl_pad_verification *judge, const dl_registration *found, double off[CHANNELS])
 {
     const double *ring = found->edges[RING].contrast_bgr, *h = found->edges[H].contrast_bgr;
-    const double least = 0.1 * fmax(fmax(fabs(h[0]), fabs(h[1])), fmax(fabs(h[2]), LEAST_CONTRAST));
+    const double least = 0.1 * fmax(fmax(fabs(h[0]), fabs(h[1])), fmax(fabs(h[2]), LEAST_COMPARED_CONTRAST));
     for (int c = 0; c < CHANNELS; c++) {
         const double side = judge->orange_side[c];
         off[c] = fabs(side * ring[c] / fmax(side * h[c], least) - judge->orange_place[c]);
@@ -105,7 +103,7 @@ static double no_ring(const dl_registration *found, const dl_aligned_pad *aligne
 static double no_disc(const dl_pad_verification *judge, const dl_registration *found)
 {
     const dl_edge_support *disc = &found->edges[DISC];
-    const double h = fmax(contrast(&found->edges[H]), LEAST_CONTRAST);
+    const double h = fmax(contrast(&found->edges[H]), LEAST_COMPARED_CONTRAST);
     const double less = clipped(2.0 * (log(PLAIN_DISC * h / fmax(contrast(disc), NO_CONTRAST)) - 0.5), 0.0, 1.0);
     return judge->disc_has_colour ? less : less * ramp(SNR_GREY_HIDDEN, SNR_GREY_SHOWN, disc->snr);
 }
@@ -185,7 +183,7 @@ void look_evidence(const dl_pad_verification *judge, const double weights[DL_EVI
     }
     score = clipped(score, -8.0, 8.0);
     for (int k = 0; k < DL_EDGE_KINDS; k++) {
-        in_view[k] = fmin(1.0, TELLING * edges[k].in_view);
+        in_view[k] = fmin(1.0, TELLING_SNR * edges[k].in_view);
     }
     for (int i = 0; i < DL_EVIDENCE; i++) {
         evidence[i] = 0.0;

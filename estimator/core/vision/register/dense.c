@@ -8,21 +8,17 @@
 
 #include "base/wide.h"
 
-/* Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light: the variance is proportional to
- * light plus this. Only pixels brighter than a tenth of the brightest set the scale: darker ones are clipped at zero and look
- * quieter than they are. */
-static const float DARK = 0.01f, BRIGHT = 0.1f;
+static const float DARK = 0.01f; /* Light at which a sensor's noise in the dark, read-out and rounding, equals the noise of the light. */
+/* Light, of the brightest, from which pixels set the scale: darker ones are clipped at zero and look quieter. */
+static const float BRIGHT = 0.1f;
 /* Initial residual variance of light over light above which a reflection is searched for. */
 static const double GLARE_DOUBTED = 5e-4;
 /* Light above which a sensor's smoothed pixel may be clipped. */
 static const float CLIPPED = 0.9f;
-/* Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland, Welsch, 1977. */
-static const double TUKEY = 4.7;
 /* Coverage from which a pixel shows the pad alone, and the fewest such pixels for its noise. */
 static const float ON_PAD = 0.98f;
 enum { ON_PAD_PIXELS = 64 };
-/* The square of a normal number's median, and the least variance of light over light. */
-static const double MEDIAN_SQUARE = 0.4549, LEAST_NOISE = 1e-7;
+static const double LEAST_NOISE = 1e-7; /* Least variance of light over light. */
 
 int take_dense_rows(rows *r, dense_rows *out)
 {

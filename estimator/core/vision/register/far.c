@@ -7,11 +7,13 @@
 #include <string.h>
 
 #include "base/rotation.h"
+#include "vision/tracker.h"
 
 enum { ROUNDS = 12, EDGE_SECTORS = 8, STROKES = 4, PIXEL_WORK = 800 };
-/* Longest step, px; steps of pose and blur at which the fit has converged. The pose depends on the blur: it may stop for a step
- * while the blur still changes. */
-static const double STEP_PX = 1.5, AT_REST_PX = 0.02, BLUR_AT_REST_PX = 0.04;
+static const double FAR_STEP_PX = 1.5; /* Longest step, px. */
+/* Step of the pose at which the fit has converged, px: it may stop for a step while the blur still changes. */
+static const double FAR_AT_REST_PX = 0.02;
+static const double BLUR_AT_REST_PX = 0.04; /* The same of the blur, px. */
 /* Step, px, from the fourth on that shows that there is no pad: of 53 pads in any light none moved more than 0.48 px then, and where
  * there is none three fits in four move more than 0.8 px to the last round. */
 static const double ASTRAY_PX = 0.75;
@@ -20,14 +22,9 @@ static const double ASTRAY_PX = 0.75;
 static const double NOISE_DOUBTED = 5e-4;
 /* Sigma of the distant disc's edges in that case, px: hiding half of the disc moves it this far. */
 static const double EDGE_DOUBTED_PX = 2.0;
-/* The mean of Tukey's weights under Gaussian noise. */
-static const double MEAN_WEIGHT = 0.9;
-/* Coverage beyond which a pixel sees the paint under the pointer alone; sum of coverages from which a pointer is in view. */
-static const double COVERED = 0.98, POINTER_IN_VIEW = 0.1;
+static const double UNDER_POINTER = 0.98; /* Coverage beyond which a pixel sees the paint under the pointer alone. */
+static const double POINTER_IN_VIEW = 0.1; /* Sum of coverages from which a pointer is in view. */
 
-/* Contrast over its deviation, and cosine between the contrast and that of the pad's paints, above which an edge is seen. With the
- * white balance off by 20 % and light of 3000 K, white against green and orange against green stay above 0.8. */
-static const double SNR_SEEN = 5.0, LIKENESS_SEEN = 0.4;
 
 int kinds_drawn(const dl_pad_shape *pad)
 {
@@ -150,7 +147,7 @@ static void collect_pointer(const dl_pad_shape *pad, const patch *cut, const fit
         }
         p->light[p->n] = (float)light;
         p->rows[0][p->n] = 1.0f, p->rows[1][p->n] = d->values[own][i] - here[i], p->rows[2][p->n] = here[i], p->rows[3][p->n] = there[i];
-        p->n += r2 > clear * clear && under[i] > COVERED;
+        p->n += r2 > clear * clear && under[i] > UNDER_POINTER;
     }
 }
 
@@ -249,7 +246,7 @@ static int converge(const fit_task *k, const patch *cut, const solver *v, dense_
 {
     double grown = 0.0, moved_px = INFINITY, g[STATES], *H = out->H;
     for (int n = 0; n < ROUNDS; n++) {
-        const int last = (n >= 1 && moved_px < AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
+        const int last = (n >= 1 && moved_px < FAR_AT_REST_PX && grown < BLUR_AT_REST_PX) || n == ROUNDS - 1;
         fit_state next;
         *k->work += cut->n * PIXEL_WORK;
         if (!linearise_dense(k->pad, cut, s, n == 0, last, d, fit)) {
@@ -259,7 +256,7 @@ static int converge(const fit_task *k, const patch *cut, const solver *v, dense_
             displace_sectors(k->size_sigma_m / s->m_per_px, fit);
         }
         if ((last && !robust_sums(fit, H, g)) ||
-            !step_state(v, s, last ? H : fit->H, last ? g : fit->g, STEP_PX, n > 0, &next, &moved_px) || (n >= 3 && moved_px > ASTRAY_PX)) {
+            !step_state(v, s, last ? H : fit->H, last ? g : fit->g, FAR_STEP_PX, n > 0, &next, &moved_px) || (n >= 3 && moved_px > ASTRAY_PX)) {
             return 0;
         }
         grown = fabs(sigma_px(&next) - sigma_px(s));

@@ -15,8 +15,9 @@ static const double RADIUS[RADII] = {0.35, 0.6, 0.9}, DISTANCE[RINGS] = {0.0, 0.
 static const int DIRECTION_COUNT[RINGS] = {1, 6, 8};
 /* Smallest fraction of the squared residuals that a reflection has to explain. */
 static const double LEAST_GAIN = 0.35;
-/* Largest move in one linearisation, smallest and largest radius, as fractions of the disc's radius. */
-static const double MOST_MOVED = 0.15, SMALLEST = 0.2, LARGEST = 1.5;
+static const double MOST_MOVED = 0.15; /* Largest move in one linearisation, of the disc's radius. */
+static const double SMALLEST_GLARE = 0.2; /* Smallest radius of a glare, of the disc's. */
+static const double LARGEST_GLARE = 1.5; /* Largest radius, of the disc's. */
 static const double LN2 = 0.69314718055994530942;
 
 /* The light of a reflection of strength one. */
@@ -59,7 +60,7 @@ glare glare_moved(const glare *g, const double amplitudes[GLARE_COLUMNS], double
     const double most = MOST_MOVED * disc_radius_m, per = 1.0 / amplitudes[0];
     const double wider = limited(amplitudes[3] * per, -most, most);
     const glare out = {g->x + limited(amplitudes[1] * per, -most, most), g->y + limited(amplitudes[2] * per, -most, most),
-                       limited(g->radius + wider, SMALLEST * disc_radius_m, LARGEST * disc_radius_m)};
+                       limited(g->radius + wider, SMALLEST_GLARE * disc_radius_m, LARGEST_GLARE * disc_radius_m)};
     return out;
 }
 
@@ -120,13 +121,13 @@ static void sum_weighted(int n, int k, float *const *values, float *const residu
  * part's products with the residuals. */
 typedef struct {
     double square, own, explained[CHANNELS];
-} trial;
+} glare_trial;
 
-static trial try_glare(int n, const products_left *all, const float *light, const float *w, float *lit)
+static glare_trial try_glare(int n, const products_left *all, const float *light, const float *w, float *lit)
 {
     const float *const one[1] = {light}, *const weighted[1] = {lit};
     double sums[FEATURES_MAX] = {0.0}, answer[COEFFICIENTS_MAX];
-    trial out = {0.0, 0.0, {0.0}};
+    glare_trial out = {0.0, 0.0, {0.0}};
     for (int i = 0; i < whole_lanes(n); i++) {
         lit[i] = light[i] * w[i];
     }
@@ -153,7 +154,7 @@ glare glare_found(const footprint *f, float *const residual[CHANNELS], float *co
                   double disc_radius_m, float *const spare[GLARE_SPARE])
 {
     products_left all;
-    trial trials[TRIED_MAX];
+    glare_trial trials[TRIED_MAX];
     double largest = 0.0, best = 0.0;
     glare out = {0.0, 0.0, 0.0};
     sum_weighted(f->n, k, values, residual, weight, spare[0], spare + 3, &all);

@@ -7,10 +7,11 @@
 #include <string.h>
 
 enum { SAMPLINGS = 3, ROUNDS = 5, HALF_MIN = 3, GROUPS_MIN = 3, PIXEL_WORK = 1100 };
-/* Longest step, px; step at which the fit rests; motion and growth of the blur after which the pixels are sampled again. */
-static const double STEP_PX = 2.0, AT_REST_PX = 0.08, SETTLED_PX = 1.2, BLUR_FACTOR = 1.5, BLUR_MORE_PX = 0.3;
-/* The mean of Tukey's weights under Gaussian noise. */
-static const double MEAN_WEIGHT = 0.9;
+static const double NEAR_STEP_PX = 2.0; /* Longest step, px. */
+static const double NEAR_AT_REST_PX = 0.08; /* Step at which the fit rests, px. */
+static const double SETTLED_PX = 1.2; /* Motion after which the pixels are sampled again, px. */
+static const double BLUR_FACTOR = 1.5; /* Growth of the blur after which they are. */
+static const double BLUR_MORE_PX = 0.3; /* The same, px, besides. */
 /* Largest displacement of an edge that counts whole, px. */
 static const double SHIFT_MOST_PX = 2.0;
 
@@ -63,13 +64,13 @@ static int converge(const dl_pad_shape *pad, const profiles *p, const solver *v,
             cover_profiles(pad, s, p, 0, d);
         }
         linearise_profiles(p, d, fit);
-        if (!step_state(v, s, fit->H, fit->g, STEP_PX, 1, &next, moved_px)) {
+        if (!step_state(v, s, fit->H, fit->g, NEAR_STEP_PX, 1, &next, moved_px)) {
             return 0;
         }
         difference(s, &next, delta);
         noise_after(p, delta, d, fit);
         *s = next;
-        if (n > 0 && *moved_px < AT_REST_PX) {
+        if (n > 0 && *moved_px < NEAR_AT_REST_PX) {
             break;
         }
     }

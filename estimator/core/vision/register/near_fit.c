@@ -6,9 +6,6 @@
 #include "vision/register/near.h"
 #include "base/wide.h"
 
-/* Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland, Welsch, 1977. The square of a normal number's
- * median. */
-static const double TUKEY = 4.7, MEDIAN_SQUARE = 0.4549;
 /* How far an edge may still be off while the pose moves: the residuals that this causes are no outliers. */
 static const double STILL_OFF_PX = 0.1;
 /* Limits on a group's contrast relative to its kind's: shade, sun and wear stay within them, a foreign edge does not. */
@@ -17,8 +14,8 @@ static const double CONTRAST_LEAST = 0.4, CONTRAST_MOST = 2.5;
 static const double SPREAD_LEAST = 0.02;
 /* Squares of residuals beyond this many variances are outliers, for the line over coverage and, in usual variances, for the mean. */
 static const double OUTLIER = 16.0, UNUSUAL = 9.0;
-/* The least variance, part of the usual one and in squares of a contrast. */
-static const double VARIANCE_LEAST = 0.05, NOISE_LEAST = 1e-9;
+static const double VARIANCE_LEAST = 0.05; /* Least variance, of the usual one. */
+static const double NOISE_LEAST = 1e-9; /* Least variance, in squares of a contrast. */
 /* The fraction of its greatest value below which a determinant counts as zero. */
 static const double DEGENERATE = 1e-4;
 /* The fewest pixels of a kind for its noise, and for its colours. */

@@ -17,7 +17,7 @@ static const double SMOOTHED_PX = 2.0;
 /* Sampling step of pixels for the noise, by the light's slope over this many values to either side; the light that a dark sensor's noise
  * amounts to. */
 enum { NOISE_EVERY = 4, NOISE_REACH = 8 };
-static const double DARK = 0.01;
+static const double DARK_PATCH = 0.01; /* That light. */
 
 /* Part of the frame: px, upper limits excluded. */
 typedef struct {
@@ -182,7 +182,7 @@ static double expected_noise(const view *v, const part *p, const patch *cut)
         for (int c = 0; c < CHANNELS; c++, count++) {
             const int low = px[c] > NOISE_REACH ? px[c] - NOISE_REACH : 0, high = px[c] < 255 - NOISE_REACH ? px[c] + NOISE_REACH : 255;
             const double slope = (double)(v->light[high] - v->light[low]) / (high - low);
-            sum += slope * slope / ((double)v->light[px[c]] + DARK);
+            sum += slope * slope / ((double)v->light[px[c]] + DARK_PATCH);
         }
     }
     return count ? left * sum / count : 0.0;

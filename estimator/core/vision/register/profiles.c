@@ -7,8 +7,8 @@
 
 #include "vision/tracker.h"
 
-/* Smallest distance between profiles along an edge, px; depth from which a point is in front of the camera, m. */
-static const double SPACING_PX = 1.3, NEAREST_M = 0.02;
+static const double SPACING_PX = 1.3; /* Smallest distance between profiles along an edge, px. */
+static const double NEAREST_PROFILE_M = 0.02; /* Depth from which a point is in front of the camera, m. */
 /* The coverage by another figure up to which a pixel shows none of it: a normal integral of three deviations. */
 static const float FOREIGN = 0.00135f;
 /* The fewest edge points in view. */
@@ -28,7 +28,7 @@ static int see_point(const view *v, const fit_state *s, const double *at, int ha
         way[i] = s->R[3 * i] * at[2] + s->R[3 * i + 1] * at[3];
     }
     const double *cut = v->cut;
-    if (!(p[2] > NEAREST_M) || cut[0] * p[0] + cut[1] * p[1] + (cut[2] - margin) * p[2] < 0.0) {
+    if (!(p[2] > NEAREST_PROFILE_M) || cut[0] * p[0] + cut[1] * p[1] + (cut[2] - margin) * p[2] < 0.0) {
         return 0;
     }
     camera_project(camera, p, seen->uv);

@@ -11,7 +11,7 @@
 #include "vision/tracker.h"
 
 /* Deviations of the blur that must fit between edges of different kinds for profiles. */
-static const double APART = 4.5;
+static const double APART_SIGMAS = 4.5;
 /* Largest number of pixels of a profile and of what fills its group up; rows are as long as whole groups of ROW_LANES. */
 enum { PROFILE_PIXELS = 24, ROW_LANES = 16 };
 /* Standard deviation of the lens' point spread at the start, which is estimated, px. */
@@ -22,7 +22,7 @@ enum { MARGIN_PX = 8, OUTLINE_STEP = 4 };
 /* Whether edges of different kinds are far enough apart for profiles. */
 static int spacing_ok(const dl_pad_shape *pad, const fit_state *s)
 {
-    return pad->gap_m > APART * sigma_px(s) * s->m_per_px;
+    return pad->gap_m > APART_SIGMAS * sigma_px(s) * s->m_per_px;
 }
 
 /* Fit by profiles where the pad is large, as a whole where its edges merge or its pixels are few. */

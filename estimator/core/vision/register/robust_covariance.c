@@ -6,8 +6,8 @@
 #include "vision/register/dense.h"
 #include "base/wide.h"
 
-/* Pixels of a paint below which it takes the mean variance of the light, and the least variance. */
-static const double SEEN_PIXELS = 4.0, LEAST_VAR = 1e-10;
+static const double SEEN_PIXELS = 4.0; /* Pixels of a paint below which it takes the mean variance of the light. */
+static const double LEAST_VAR = 1e-10; /* Least variance of the light. */
 /* The least fraction of the noise that the fit is taken to have left in the residuals. */
 static const double LEFT_LEAST = 0.3;
 /* The paints: surroundings, then the regions. */
@@ -15,7 +15,7 @@ enum { PAINTS_MAX = 1 + DL_PAD_CONTRASTS };
 /* Smoothings, (1, 2, 1) / 4, that the grain of what is seen has at most before the patch is smoothed; as many by single pixels as make
  * one by pairs. The reach of all of them, px, and the least correlation between channels from which there is such grain. */
 enum { GRAIN_MOST = 8, BY_PAIRS = 4, GRAIN_REACH = 2 * (1 + GRAIN_MOST) };
-static const double GRAIN_LEAST = 0.05;
+static const double GRAIN_LEAST = 0.05; /* That correlation. */
 
 /* The fraction of a pixel that each paint covers: a region less those that lie on it. */
 static void paint_fractions(const dl_pad_shape *pad, const dense_rows *d, int i, double out[PAINTS_MAX])

@@ -6,9 +6,8 @@
 
 /* One over the distance from the centre, 1/m, within which a direction outward has no meaning. */
 static const float LEAST_M = 1e-3f;
-/* Information on a sector's place, 1/px^2 over the noise's factor, from which it counts, and how many sectors' evidence it is worth
- * that drawings are right. */
-static const double KNOWN_LEAST = 1.0, RIGHT_WEIGHT = 2.0;
+static const double KNOWN_LEAST = 1.0; /* Information on a sector's place, 1/px^2 over the noise's factor, from which it counts. */
+static const double RIGHT_WEIGHT = 2.0; /* Sectors whose evidence it is worth that drawings are right. */
 
 /* The sector of a place on the pad: its eighth of a turn. */
 static int sector_of(float x, float y)

@@ -8,11 +8,12 @@
 #include "vision/register/exponential.h"
 
 /* Standard deviations of the blur beyond which a side changes nothing. */
-static const float REACH = 5.5f;
-/* 1 / (2 pi), a quarter, and 1 / sqrt(2 pi). */
-static const float PER_TURN = 0.15915494f, QUARTER = 0.25f, PEAK = 0.39894228f;
+static const float SIDE_REACH = 5.5f;
+static const float PER_TURN = 0.15915494f; /* 1 / (2 pi). */
+static const float QUARTER = 0.25f; /* A quarter. */
+static const float PEAK = 0.39894228f; /* 1 / sqrt(2 pi). */
 /* Half of the largest square whose exponential function is taken; it is 1e-34 there. */
-static const float FARTHEST = 78.0f;
+static const float FARTHEST_SIDE = 78.0f;
 /* Places and weights of quadrature from 0 to 1. Source: Abramowitz, Stegun, Handbook of Mathematical Functions, table 25.4. */
 enum { NODES = 5 };
 static const float PLACE[NODES] = {0.04691008f, 0.23076535f, 0.5f, 0.76923465f, 0.95308992f};
@@ -46,7 +47,7 @@ static inline void normal(float x, float *density, float *half)
 {
     const float square = 0.5f * x * x, size = x < 0.0f ? -x : x, k = 1.0f / (1.0f + 0.2316419f * size);
     const float beyond = k * (0.31938153f + k * (-0.35656378f + k * (1.78147794f + k * (-1.82125598f + k * 1.33027443f))));
-    *density = PEAK * exponential(-(square < FARTHEST ? square : FARTHEST));
+    *density = PEAK * exponential(-(square < FARTHEST_SIDE ? square : FARTHEST_SIDE));
     *half = 0.5f - *density * beyond;
 }
 
@@ -77,7 +78,7 @@ static inline float triangle(float h, float t, float half_h, float half_t)
     float sum = 0.0f;
     for (int k = 0; k < NODES; k++) {
         const float longer = 1.0f + ratio2 * (PLACE[k] * PLACE[k]), square = half_square * longer;
-        sum += WEIGHT[k] * (1.0f - exponential(-(square < FARTHEST ? square : FARTHEST))) / longer;
+        sum += WEIGHT[k] * (1.0f - exponential(-(square < FARTHEST_SIDE ? square : FARTHEST_SIDE))) / longer;
     }
     sum *= PER_TURN * ratio;
     return with_sign(a >= b ? sum : half_h * half_t - sum, h, t);
@@ -98,7 +99,7 @@ static inline int see(const round_sides *s, int k, const float *u, const float *
         out->h[l] = per[l] * (s->out[k] - (ay * u[l] - ax * v[l]));
         out->begin[l] = per[l] * (s->begin[k] - along);
         out->end[l] = per[l] * (s->end[k] - along);
-        near |= (out->h[l] < REACH) & (out->h[l] > -REACH) & (out->begin[l] < REACH) & (out->end[l] > -REACH);
+        near |= (out->h[l] < SIDE_REACH) & (out->h[l] > -SIDE_REACH) & (out->begin[l] < SIDE_REACH) & (out->end[l] > -SIDE_REACH);
     }
     return near;
 }
@@ -137,7 +138,7 @@ void add_sides(const round_sides *s, const float *x, const float *y, const float
     const float a = s->a, b = s->b, c = s->c;
     int inside = 0;
     for (int l = 0; l < LANES; l++) {
-        const float deviation = sqrtf(m[l]), reach = REACH * deviation;
+        const float deviation = sqrtf(m[l]), reach = SIDE_REACH * deviation;
         u[l] = a * x[l], v[l] = b * x[l] + c * y[l], per[l] = 1.0f / deviation;
         inside |= (u[l] > s->low[0] - reach) & (u[l] < s->high[0] + reach) & (v[l] > s->low[1] - reach) & (v[l] < s->high[1] + reach);
     }

@@ -10,8 +10,8 @@
 
 /* Standard deviation of an angle that is completely unknown: pi / sqrt(3) rad. */
 static const double FREE_ROTATION_RAD = 1.8137993642342178;
-/* The least standard deviation of a deck's tilt, rad, and the least distance of the pad's plane, m. */
-static const double SIGMA_DECK_MIN_RAD = 1e-5, NEAREST_M = 0.03;
+static const double SIGMA_DECK_MIN_RAD = 1e-5; /* Least standard deviation of a deck's tilt, rad. */
+static const double NEAREST_PLANE_M = 0.03; /* Least distance of the pad's plane, m. */
 
 void predict_tilt(const dl_lens *camera, const dl_tilt_prior *prior, tilt_target *out)
 {
@@ -89,7 +89,7 @@ static void add_prior(const solver *v, const fit_state *s, double H[STATES * STA
 void line_of_sight(const fit_state *s, double along[3])
 {
     rotated_back(s->R, s->t, along);
-    const double depth = fmax(along[2], NEAREST_M);
+    const double depth = fmax(along[2], NEAREST_PLANE_M);
     along[0] /= depth, along[1] /= depth, along[2] = 1.0;
 }
 

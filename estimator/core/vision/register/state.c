@@ -9,8 +9,8 @@
 #include "base/wide.h"
 #include "vision/tracker.h"
 
-/* Variance of a square pixel along any direction, px^2, and the largest blur. */
-static const double PIXEL_VAR = 1.0 / 12.0, MAX_BLUR_PX2 = 49.0;
+static const double PIXEL_VAR = 1.0 / 12.0; /* Variance of a square pixel along any direction, px^2. */
+static const double MAX_BLUR_PX2 = 49.0; /* Largest blur, px^2. */
 /* The least depth of a pixel's ray along the normal for which the plane is met. */
 static const float FLATTEST = 1e-3f;
 

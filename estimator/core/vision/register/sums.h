@@ -5,6 +5,13 @@
 #include "vision/register/state.h"
 #include "base/linear.h"
 
+/* Cut-off in standard deviations: 95 % efficient under Gaussian noise. Source: Holland, Welsch, 1977. */
+#define TUKEY 4.7
+/* The mean of its weights under Gaussian noise. */
+#define MEAN_WEIGHT 0.9
+/* The square of a normal number's median. */
+#define MEDIAN_SQUARE 0.4549
+
 /* The most paint coefficients of a dense fit: light and its two slopes, the regions, a reflection's four. */
 enum { COEFFICIENTS_MAX = 3 + DL_PAD_CONTRASTS + 4, SUM_BLOCK = 128 };
 

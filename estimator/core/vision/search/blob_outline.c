@@ -8,16 +8,18 @@
 enum { CHANNELS = 3, SIDE_MAX = 60, AREA_MAX = SIDE_MAX * SIDE_MAX, SHADES = 256, BINS = 64, LARGE = 6, TRIES = 2, FEWEST = 12 };
 /* Histograms that count by turns, and places of a row in the queue. */
 enum { TURNS = 4, QUEUED = 64 };
-/* Standard deviations of a normal distribution in its median absolute deviation, and what a camera's steps and noise add. */
-static const double PER_DEVIATION = 1.4826, STEPS = 2.0;
+static const double PER_DEVIATION = 1.4826; /* Standard deviations of a normal distribution in its median absolute deviation. */
+static const double STEPS = 2.0; /* What a camera's steps and noise add. */
 /* Noise of the half-size image above which pixels are smoothed twice, values of a pixel. */
 static const double NOISY = 2.5;
-/* Deviations at which a pixel differs from its surroundings: of those of a tenth of the pixels in the box, and at least. */
-static const double DIFFERS[TRIES] = {0.35, 0.6}, LEAST_DIFFERS = 2.0, UPPER = 0.9;
+/* Deviations at which a pixel differs from its surroundings, of those of a tenth of the pixels in the box. */
+static const double DIFFERS[TRIES] = {0.35, 0.6};
+static const double LEAST_DIFFERS = 2.0; /* The same at least. */
+static const double UPPER = 0.9; /* Share of the pixels below that tenth. */
 /* The outline is where this fraction of the component's mean difference is left. */
 static const double EDGE = 0.5;
 /* Least fraction of the area that the ellipse of the same moments has. */
-static const double LEAST_FILLED = 0.8;
+static const double LEAST_OUTLINE_FILLED = 0.8;
 
 /* What a pixel of the window is. */
 enum { NOTHING, DIFFERENT, SEEN, CHOSEN, OUTSIDE };
@@ -285,7 +287,7 @@ static int moments(const blob_window *o, blob_ellipse *out)
     out->bright = light > 0.0;
     const double det = out->M[0] * out->M[2] - out->M[1] * out->M[1];
     out->filled = det > 0.0 ? n * o->step * o->step / (acos(-1.0) * sqrt(det)) : 0.0;
-    return n >= FEWEST && out->filled >= LEAST_FILLED;
+    return n >= FEWEST && out->filled >= LEAST_OUTLINE_FILLED;
 }
 
 int blob_outline(const blob_image *image, const blob_peak *peak, blob_ellipse *out)

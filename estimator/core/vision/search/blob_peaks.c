@@ -10,11 +10,11 @@
 
 /* Cells of two by two pixels, and those that the largest surroundings reach beyond the image. */
 enum { CHANNELS = 3, SUMS = CHANNELS + 1, CELL = 2, REACH = 11, ROWS = 6 };
-const int BLOB_HALF[BLOB_SIZES] = {4, 6, 10};
-/* A contrast too low to use, values of a pixel, and the least score of a peak. */
-static const float LEAST_CONTRAST = 4.0f, LEAST_SCORE = 1.0f;
+const int BLOB_HALF[BLOB_SIZES] = {4, 6, 10}; /* Half of the surroundings' sides, cells. */
+static const float LEAST_PEAK_CONTRAST = 4.0f; /* A contrast too low to use, values of a pixel. */
+static const float LEAST_PEAK_SCORE = 1.0f; /* Least score of a peak. */
 /* A peak is the best place within this many half sides of its box. */
-static const float SAME_PLACE = 0.8f;
+static const float SAME_PEAK = 0.8f;
 
 /* Sums of the cells in all rows and columns before, of each channel and of the squares of all, with a border of nothing. */
 typedef struct {
@@ -47,12 +47,12 @@ static int64_t scores_of(const dl_image *half)
 typedef struct {
     uint32_t *sums;
     float *score, *size, *rows;
-} workspace;
+} peak_space;
 
-static workspace divide(const dl_image *half, arena *a)
+static peak_space divide(const dl_image *half, arena *a)
 {
     const int64_t number = sizeof(float);
-    workspace w;
+    peak_space w;
     w.sums = take(a, SUMS * sums_of(half) * number);
     w.score = take(a, scores_of(half) * number);
     w.size = take(a, scores_of(half) * number);
@@ -204,7 +204,7 @@ static void count_row(int w, int h, int row, int half, int wide, const row_score
 static void rate(const blob_image *image, const blob_sums *sums, float *rows, float *score, float *size)
 {
     const int w = sums->width, h = sums->height;
-    const float noise = (float)image->noise, least = (float)sums->channels * (LEAST_CONTRAST * LEAST_CONTRAST + noise * noise);
+    const float noise = (float)image->noise, least = (float)sums->channels * (LEAST_PEAK_CONTRAST * LEAST_PEAK_CONTRAST + noise * noise);
     float *in = rows, *whole = rows + w;
     const row_scores to = {rows + 2 * w, rows + 3 * w, rows + 4 * w, rows + 5 * w};
     for (int k = 0; k < BLOB_SIZES; k++) {
@@ -229,7 +229,7 @@ int blob_peaks(const blob_image *image, float *scratch, blob_peak *out)
 {
     const int w = (int)cells_of(image->half->width), rows = (int)cells_of(image->half->height);
     arena memory = {scratch, 0};
-    const workspace work = divide(image->half, &memory);
+    const peak_space work = divide(image->half, &memory);
     blob_sums sums;
     int n = 0;
     memset(work.score, 0, (size_t)scores_of(image->half) * sizeof *work.score);
@@ -240,8 +240,8 @@ int blob_peaks(const blob_image *image, float *scratch, blob_peak *out)
         for (int i = 0; i < w; i++) {
             const float here = work.score[row * w + i];
             const int of = (int)work.size[row * w + i], full = n == (int)image->most;
-            const int reach = (int)(SAME_PLACE / CELL * (float)BLOB_HALF[of] + 0.5f);
-            if (here > LEAST_SCORE && !(full && here <= out[n - 1].score) && is_peak(w, rows, work.score, row, i, reach)) {
+            const int reach = (int)(SAME_PEAK / CELL * (float)BLOB_HALF[of] + 0.5f);
+            if (here > LEAST_PEAK_SCORE && !(full && here <= out[n - 1].score) && is_peak(w, rows, work.score, row, i, reach)) {
                 const blob_peak one = {here, CELL * i, CELL * row, of};
                 n = insert_best(&one, sizeof one, offsetof(blob_peak, score), n, (int)image->most, out);
             }

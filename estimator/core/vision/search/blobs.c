@@ -10,7 +10,7 @@ enum { MOST = 64, PIXEL_WORK = 14, OUTLINE_WORK = 115000 };
 /* Fraction of an ellipse's area at which an area is no support for a circle. */
 static const double LEAST_FILLED = 0.9;
 /* Noise of the half-size image, values of a pixel, per noise of the frame. */
-static const double NOISE_LEFT = 0.5 * 255.0;
+static const double BYTE_NOISE_LEFT = 0.5 * 255.0;
 
 /* The circle on the plane that an ellipse of the frame is; returns whether all of it can be seen there. */
 static int circle_of(const dl_lens *c, const blob_image *image, const blob_ellipse *from, dl_circle *out)
@@ -44,7 +44,7 @@ int32_t search_areas(const dl_tracker *t, const dl_frame *frame, const dl_circle
     blob_peak peaks[MOST];
     blob_ellipse one;
     blob_image within = {&frame->level[1], &frame->level[0], how->grey, how->most < MOST ? how->most : MOST,
-                         NOISE_LEFT * frame->quality.noise, {0.0}};
+                         BYTE_NOISE_LEFT * frame->quality.noise, {0.0}};
     int32_t found = 0;
     memcpy(within.R_cam_plane, how->R_cam_plane, sizeof within.R_cam_plane);
     const int n = within.most > 0 ? blob_peaks(&within, t->scratch, peaks) : 0;

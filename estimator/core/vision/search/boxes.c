@@ -9,8 +9,8 @@
 enum { BOXES = 4, REACH_MAX = 80 };
 /* Width of a stroke at which the mask is halved, thirded ..., px: strokes of the mask that is searched are 5 to 10 px wide. */
 static const double STROKE_PX = 5.0;
-/* Smallest fraction of the H that must be in view, and the least score: a half-covered H has a half. */
-static const float LEAST_FRACTION = 0.22f, LEAST_SCORE = 0.3f;
+static const float LEAST_FRACTION = 0.22f; /* Smallest fraction of the H that must be in view. */
+static const float LEAST_SCORE = 0.3f; /* Least score: a half-covered H has a half. */
 
 /* A box about the H's centre, cells: rows from top to below, columns from left to right. */
 typedef struct {

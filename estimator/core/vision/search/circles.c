@@ -8,8 +8,8 @@
 
 /* Peaks that are fitted for each circle that is requested, at most. */
 enum { TRIES = 3 };
-/* Circles nearer to each other than this, in radii, with radii nearer than this factor, are one. */
-static const double SAME_PLACE = 0.25, SAME_RADIUS = 1.15;
+static const double SAME_PLACE = 0.25; /* Distance below which two circles are one, in radii. */
+static const double SAME_RADIUS = 1.15; /* Factor of their radii below which they are. */
 /* Most edges of an image, per pixel. */
 static const double MOST_EDGES = 0.4;
 /* The margin of an image at full size, and the largest of any, px. */

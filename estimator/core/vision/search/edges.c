@@ -8,10 +8,10 @@
 #include "vision/search/search.h"
 #include "base/wide.h"
 
-/* Least strength of an edge, in Sobel's sums of bytes, and relative to the mean of the blocks around it. */
-static const float LEAST_STRENGTH = 14.0f, LEAST_RELATIVE = 1.9f;
+static const float LEAST_STRENGTH = 14.0f; /* Least strength of an edge, in Sobel's sums of bytes. */
+static const float LEAST_RELATIVE = 1.9f; /* The same relative to the mean of the blocks around it. */
 /* Least cosine between a ray and the plane's normal. */
-static const double LEAST_FACING = 0.15;
+static const double LEAST_EDGE_FACING = 0.15;
 /* Tangent of 67.5 degrees. */
 static const int STEEP_NUM = 169, STEEP_DEN = 70;
 /* More than any strength of Sobel's sums, and marks that are read at once. */
@@ -101,7 +101,7 @@ static void corners_on_plane(const search_image *image, const float *rays, block
     const double *R = image->R_cam_plane;
     for (int k = 0; k < (b->rows + 1) * (b->columns + 1); k++) {
         const double x = (double)rays[2 * k], y = (double)rays[2 * k + 1], z = R[2] * x + R[5] * y + R[8];
-        const double by = z > LEAST_FACING ? 1.0 / z : (double)NAN;
+        const double by = z > LEAST_EDGE_FACING ? 1.0 / z : (double)NAN;
         b->corners[2 * k] = (float)((R[0] * x + R[3] * y + R[6]) * by);
         b->corners[2 * k + 1] = (float)((R[1] * x + R[4] * y + R[7]) * by);
     }

@@ -8,7 +8,7 @@
 /* Tolerance of each fit, as a fraction of the radius, and the least cosine between an edge's gradient and the way to the centre. */
 enum { FITS = 4, FEWEST = 8 };
 static const double TOLERANCE[FITS] = {0.24, 0.16, 0.11, 0.08};
-static const double LEAST_ALONG = 0.85;
+static const double LEAST_ALONG = 0.85; /* That cosine. */
 /* Least fraction of the outline with an edge. */
 static const double LEAST_SUPPORT = 0.22;
 
@@ -16,24 +16,24 @@ static const double LEAST_SUPPORT = 0.22;
 typedef struct {
     double centre[2], radius, sign;
     float x, y, reach;
-} trial;
+} circle_trial;
 
-/* Sums of Kasa's equations about the trial's centre. */
+/* Sums of Kasa's equations about the circle_trial's centre. */
 typedef struct {
     int n;
     double x, y, xx, xy, yy, zx, zy, z;
 } kasa_sums;
 
-/* Whether an edge's gradient points at the trial's place. */
-static int points_at(const edge_list *e, int i, const trial *t)
+/* Whether an edge's gradient points at the circle_trial's place. */
+static int points_at(const edge_list *e, int i, const circle_trial *t)
 {
     const double dx = (double)(t->x - e->x[i]), dy = (double)(t->y - e->y[i]), tx = (double)e->to_x[i], ty = (double)e->to_y[i];
     const double along = t->sign * (tx * dx + ty * dy), length = (tx * tx + ty * ty) * (dx * dx + dy * dy);
     return along > 0.0 && along * along > LEAST_ALONG * LEAST_ALONG * length;
 }
 
-/* Choose the edges in the trial's box that point at its place. None of that depends on the fit. */
-static void choose(const search_image *image, const search_rows *rows, const trial *t, edge_choice *out)
+/* Choose the edges in the circle_trial's box that point at its place. None of that depends on the fit. */
+static void choose(const search_image *image, const search_rows *rows, const circle_trial *t, edge_choice *out)
 {
     const edge_list *e = &rows->edges;
     const double h = (double)image->height;
@@ -48,18 +48,18 @@ static void choose(const search_image *image, const search_rows *rows, const tri
     }
 }
 
-/* Whether a chosen edge lies on a trial within a tolerance; its place relative to the trial's centre. */
-static int lies_on(const edge_choice *of, int i, const trial *t, double tolerance, double at[2])
+/* Whether a chosen edge lies on a circle_trial within a tolerance; its place relative to the circle_trial's centre. */
+static int lies_on(const edge_choice *of, int i, const circle_trial *t, double tolerance, double at[2])
 {
     at[0] = of->places[2 * i] - t->centre[0];
     at[1] = of->places[2 * i + 1] - t->centre[1];
     return fabs(sqrt(at[0] * at[0] + at[1] * at[1]) - t->radius) < tolerance * t->radius;
 }
 
-/* Fit a circle to the edges that lie on a trial.
+/* Fit a circle to the edges that lie on a circle_trial.
  *
  * Source: Kasa, A circle fitting procedure and its error analysis, IEEE Trans. Instrumentation and Measurement 25, 1976. */
-static int fit_once(const edge_choice *of, double tolerance, trial *t)
+static int fit_once(const edge_choice *of, double tolerance, circle_trial *t)
 {
     kasa_sums s;
     memset(&s, 0, sizeof s);
@@ -94,7 +94,7 @@ static int fit_once(const edge_choice *of, double tolerance, trial *t)
 }
 
 /* The edge nearest to the circle in each sector. */
-static int outline(const search_image *image, const search_rows *rows, const edge_choice *of, const trial *t, dl_circle *out)
+static int outline(const search_image *image, const search_rows *rows, const edge_choice *of, const circle_trial *t, dl_circle *out)
 {
     const double by = DL_SEARCH_SECTORS / (2.0 * acos(-1.0)), step = (double)image->step;
     double nearest[DL_SEARCH_SECTORS];
@@ -128,7 +128,7 @@ int search_fit(const search_image *image, const dl_circle_search *radii, const s
                dl_circle *out)
 {
     const double radius = radii->least * pow(radii->ratio, peak->radius);
-    trial t = {{0.0, 0.0}, radius, peak->bright_inside ? 1.0 : -1.0, peak->x, peak->y, 0.0f};
+    circle_trial t = {{0.0, 0.0}, radius, peak->bright_inside ? 1.0 : -1.0, peak->x, peak->y, 0.0f};
     if (!search_place(&rows->blocks, peak->x, peak->y, t.centre)) {
         return 0;
     }

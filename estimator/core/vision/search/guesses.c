@@ -10,9 +10,8 @@
 enum { STANDS = 3 };
 /* Least radius of a disc, px, at the size of the frame that its drawing is compared at. */
 static const double SHARP_PX = 20.0;
-/* Support of a circle below which half of the disc is taken to be covered, and the least distance from its centre to the mean of
- * its edges, in radii, if they lie on one side. */
-static const double COVERED = 0.8, ONE_SIDED = 0.2;
+static const double HALF_COVERED = 0.8; /* Support of a circle below which half of the disc is taken to be covered. */
+static const double ONE_SIDED = 0.2; /* Least distance, in radii, from its centre to the mean of its edges, if they lie on one side. */
 /* Fraction of the variance explained by a guess at which no further circles are looked at. */
 static const double PLAIN = 0.5;
 
@@ -32,7 +31,7 @@ static int side_of(const dl_circle *circle, const double *rays, const circle_sta
 {
     double places[2 * DL_SEARCH_SECTORS], mean[2] = {0.0, 0.0};
     const int n = (int)circle->points;
-    if (circle->support > COVERED || n < 1 || !search_on_plane(n, rays, stand->R, places)) {
+    if (circle->support > HALF_COVERED || n < 1 || !search_on_plane(n, rays, stand->R, places)) {
         return 0;
     }
     for (int i = 0; i < 2 * n; i++) {

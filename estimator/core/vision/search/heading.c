@@ -12,15 +12,15 @@ enum { CELLS = DL_POLAR_RADII * DL_POLAR_ANGLES, VALUES = 4, LANES = 8, HALF_TUR
 /* Work of a heading. */
 enum { HEADING_WORK = 35000 };
 /* Least depth of a cell, m. */
-static const double NEAREST_M = 1e-3;
+static const double NEAREST_POINT_M = 1e-3;
 /* Area of a paint in view, as a fraction of the whole, below which the paint is ignored. */
 static const double LEAST_PAINT = 1e-3;
-/* Fraction of the disc in view below which there is no heading, and the factor on a score whose paints are on the wrong sides. */
-static const double LEAST_IN_VIEW = 0.02, WRONG_SIDE = 0.25;
+static const double LEAST_IN_VIEW = 0.02; /* Fraction of the disc in view below which there is no heading. */
+static const double WRONG_SIDE = 0.25; /* Factor on a score whose paints are on the wrong sides. */
 
-/* Width of the disc's edge, px: nearer pixels see the surroundings, too, which no paint of the drawing explains. From afar
- * they outweigh the H and the ring. The greatest share of the radius that is left out for it. */
-static const double RIM_PX = 1.2, WIDEST_RIM = 0.5;
+/* Width of the disc's edge, px, whose pixels see the surroundings, too; from afar they outweigh the H and the ring. */
+static const double RIM_PX = 1.2;
+static const double WIDEST_RIM = 0.5; /* Greatest share of the radius that is left out for it. */
 /* Radius of the disc, px, below which a pixel between H and ring has light of both: there the ring is compared with its
  * outside alone. */
 static const double RESOLVED_PX = 20.0;
@@ -78,7 +78,7 @@ static void choose(const dl_polar_pad *pad, int32_t step, int w, int h, double w
     for (int k = 0; k < CELLS; k++) {
         const double x = pad->xy_m[2 * k], y = pad->xy_m[2 * k + 1];
         const double u = (of->u[k] + 0.5) * by - 0.5, v = (of->v[k] + 0.5) * by - 0.5;
-        const int in_view = (u > -0.5) & (u < right) & (v > -0.5) & (v < low) & (of->depth[k] > NEAREST_M);
+        const int in_view = (u > -0.5) & (u < right) & (v > -0.5) & (v < low) & (of->depth[k] > NEAREST_POINT_M);
         of->counts[k] = in_view & (x * x + y * y <= within2) & (x * side[0] + y * side[1] > beyond);
         of->u[k] = u > 0.0 ? u < w - 1.0 ? u : w - 1.0 : 0.0;
         of->v[k] = v > 0.0 ? v < h - 1.0 ? v : h - 1.0 : 0.0;

@@ -17,7 +17,7 @@ static const double NEXT = 0.7, SECOND = 0.4;
 /* Widths within this fraction of each other are one. */
 static const double SAME_WIDTH = 0.15;
 /* Least depth of the H, m. */
-static const double LEAST_DEPTH_M = 0.02;
+static const double LEAST_STROKE_DEPTH_M = 0.02;
 
 /* The darkest channel, the upright view, its marks, the sums over these, the scores of places, and the beginnings of runs. */
 typedef struct {
@@ -26,12 +26,12 @@ typedef struct {
     int8_t *mask;
     int32_t *sums, *starts;
     float *score;
-} workspace;
+} stroke_space;
 
-static workspace divide(const strokes_image *image, arena *a)
+static stroke_space divide(const strokes_image *image, arena *a)
 {
     const int64_t n = strokes_size(image), number = sizeof(int32_t);
-    workspace w;
+    stroke_space w;
     w.grey = take(a, image->width * image->height);
     w.upright = take(a, n * n * (int64_t)sizeof *w.upright);
     w.mask = take(a, n * n);
@@ -137,7 +137,7 @@ static int pose_of(const strokes_image *image, const upright_view *view, const d
     out->drawing = (double)at->score;
     out->known = image->plane_known;
     out->one_sided = 0;
-    return out->t[2] > LEAST_DEPTH_M;
+    return out->t[2] > LEAST_STROKE_DEPTH_M;
 }
 
 /* Find the strokes of an H in an image; returns how many places. */
@@ -147,7 +147,7 @@ static int32_t find(const dl_tracker *t, const strokes_image *image, const uint8
     const dl_pad_strokes *h = &t->pad.strokes;
     const int64_t pixels = image->width * image->height, n = strokes_size(image);
     arena memory = {t->scratch, 0};
-    const workspace w = divide(image, &memory);
+    const stroke_space w = divide(image, &memory);
     int32_t found = 0;
     double angle, widths[WIDTHS];
     int limits[LIMITS];

@@ -11,9 +11,10 @@
 /* Fewest points of an outline, and the ratios of an ellipse's axes. Below the first it is a circle that faces the camera, within
  * the accuracy of its edges. */
 enum { FEWEST = 12, CONIC = 5 };
-static const double SHORTEST = 1.04, LONGEST = 3.0;
+static const double SHORTEST = 1.04; /* Ratio of an ellipse's axes below which it is a circle that faces the camera. */
+static const double LONGEST_AXIS = 3.0; /* Largest ratio that is taken. */
 /* Cosine of 38 degrees between the pad's normal and the camera's axis: 25 degrees of tilt plus an error. */
-static const double LEAST_FACING = 0.7880107536067220;
+static const double LEAST_TILT_FACING = 0.7880107536067220;
 /* Least cosine between a ray and the plane's normal. */
 static const double LEAST_RAY = 0.15;
 
@@ -161,13 +162,13 @@ int search_tilts(int n, const double *rays, circle_stand out[2])
         return 0;
     }
     const double odd = hypot(p[0], p[1]), ratio2 = (1.0 + odd) / (1.0 - odd);
-    if (!(odd < 1.0 && ratio2 > SHORTEST * SHORTEST && ratio2 < LONGEST * LONGEST)) {
+    if (!(odd < 1.0 && ratio2 > SHORTEST * SHORTEST && ratio2 < LONGEST_AXIS * LONGEST_AXIS)) {
         return 0;
     }
     cone_of(p, mean, scale, Q);
     for (int k = circle_normals(Q, normals) - 1; k >= 0; k--) {
         circle_stand *one = &out[found];
-        if (normals[k][2] >= LEAST_FACING) {
+        if (normals[k][2] >= LEAST_TILT_FACING) {
             facing(normals[k], one->R);
             one->known = 1;
             found += search_on_plane(n, rays, one->R, places) && circle_of(n, places, one);

@@ -10,7 +10,7 @@
 
 /* Gradients, in fractions of the strongest, squared, that give a direction, and the fewest of them. */
 enum { FEW_STRONG = 20, FEW_ABOVE = 50, UPPER_BY = 12, SHADES = 256 };
-static const float STRONG = 0.15f;
+static const float STRONG_EDGE = 0.15f; /* Gradient that gives a direction, of the strongest, squared. */
 /* Least cosine between a ray and the plane's normal. */
 static const double LEAST_FACING = 0.15;
 
@@ -102,7 +102,7 @@ int strokes_direction(int w, int h, const uint8_t *grey, double *angle)
             most = squared > most ? squared : most;
         }
     }
-    const int least = (int)(STRONG * (float)most);
+    const int least = (int)(STRONG_EDGE * (float)most);
     for (int row = 1; row < h - 1; row++) {
         for (int i = 1; i < w - 1; i++) {
             slope_at(grey + row * w + i, w, slope);

@@ -7,8 +7,8 @@
 #include "base/wide.h"
 
 enum { CELLS_ACROSS = 2, MOST_VOTES = 255 };
-/* Votes of the neighbourhood that count against a peak, in means, and the fraction of a circle that a peak must have at least. */
-static const float AGAINST = 2.0f, LEAST_FRACTION = 0.12f;
+static const float VOTES_AGAINST = 2.0f; /* Votes of the neighbourhood that count against a peak, in means. */
+static const float LEAST_OF_CIRCLE = 0.12f; /* Fraction of a circle that a peak must have at least. */
 static const float TURN = 6.2831853f;
 
 static int cells(const search_image *image, int64_t px)
@@ -153,7 +153,7 @@ void search_votes(const search_image *image, const dl_circle_search *radii, sear
         rate_tiles(columns, high, votes, rows->row, t, most, mean);
         for (int k = 0; k < tiles; k++) {
             const int at = plane % 2 * tiles + k;
-            const float around = radius * unit[k], some = LEAST_FRACTION * around;
+            const float around = radius * unit[k], some = LEAST_OF_CIRCLE * around;
             if (!(most[k] > some)) {
                 continue;
             }
@@ -162,7 +162,7 @@ void search_votes(const search_image *image, const dl_circle_search *radii, sear
                 continue;
             }
             const float around_it = mean_around(t, mean, k / t->columns, k % t->columns);
-            const float left = most[k] - AGAINST * CELLS_ACROSS * CELLS_ACROSS * around_it;
+            const float left = most[k] - VOTES_AGAINST * CELLS_ACROSS * CELLS_ACROSS * around_it;
             if (left > least) {
                 t->score[at] = left / root;
                 t->plane[at] = plane;
