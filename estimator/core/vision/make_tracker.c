@@ -77,6 +77,12 @@ static int is_drawing(const dl_pad *pad, const int32_t *edge_of)
     return 1;
 }
 
+/* Whether a camera's sides are some that there can be, and a lens that bends them has its rays. */
+static int is_camera(const dl_lens *c, const double *rays)
+{
+    return lies_within(c->width, 1, FRAME_SIDE_MAX) && lies_within(c->height, 1, FRAME_SIDE_MAX) && !(c->distorted && rays == NULL);
+}
+
 static int64_t larger(int64_t one, int64_t other)
 {
     return one > other ? one : other;
@@ -108,11 +114,8 @@ dl_tracker *dl_tracker_new(const dl_camera *camera, const double *rays, const dl
                            const int16_t *local, const double *edges, const int32_t *edge_of, int64_t *work)
 {
     const dl_lens *c = &camera->lens;
-    if (!lies_within(c->width, 1, FRAME_SIDE_MAX) || !lies_within(c->height, 1, FRAME_SIDE_MAX) || (c->distorted
-        && rays == NULL)) {
-        return NULL;
-    }
-    if (pad != NULL && (!coverage || !local || !edges || !edge_of || !is_drawing(pad, edge_of))) {
+    const int has_maps = coverage && local && edges && edge_of;
+    if (!is_camera(c, rays) || (pad != NULL && !(has_maps && is_drawing(pad, edge_of)))) {
         return NULL;
     }
     dl_tracker *t = calloc(1, sizeof *t);
