@@ -19,12 +19,16 @@ BENCHES = sorted(
 )
 OWN_PROCESS = ("benches.soak", "benches.vision")
 """The one watches the memory of its process, and a detector of the other corrupts the heap where it is destroyed."""
+LONG = ("benches.chaos", "benches.dead_man", "benches.killed", "benches.soak")
+"""Benches whose smallest run flies in real time or often; `make qualify` runs them."""
+ELSEWHERE = (*LONG, "benches.house")
+"""Benches that are not run here: `make check` runs `benches.house`."""
 
 
-def run_smoke(bench: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> object:
+def run_smoke(bench: str, folder: Path, monkeypatch: pytest.MonkeyPatch, option: str = "--smoke") -> object:
     """Return the exit code of a bench's smallest run in this process, which has compiled and imported what all of them need."""
     with monkeypatch.context() as patch:
-        patch.setattr(sys, "argv", [bench, "--smoke"])
+        patch.setattr(sys, "argv", [bench, option])
         patch.chdir(folder)
         patch.setenv("PYTHONPATH", str(ROOT))
         terminates, level = signal.getsignal(signal.SIGTERM), logging.root.manager.disable
@@ -37,17 +41,28 @@ def run_smoke(bench: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> obje
             logging.disable(level)
 
 
-@pytest.mark.parametrize("bench", BENCHES)
-def test_a_bench_runs_to_its_end_in_its_smallest_run(bench, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("MPLCONFIGDIR", str(tmp_path))
+def assert_measures(bench: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Run a bench's smallest run to its end."""
+    monkeypatch.setenv("MPLCONFIGDIR", str(folder))
     if bench in OWN_PROCESS:
-        done = ran(sys.executable, "-m", bench, "--smoke", cwd=tmp_path)
+        done = ran(sys.executable, "-m", bench, "--smoke", cwd=folder)
         failed, out, err = bool(done.returncode), done.stdout, done.stderr
     else:
-        failed = bool(run_smoke(bench, tmp_path, monkeypatch))
+        failed = bool(run_smoke(bench, folder, monkeypatch))
         out, err = capsys.readouterr()
     assert not failed, out[-2000:] + err[-2000:]
     assert "skipped" in out or any(letter in "123456789" for letter in out), "it measured nothing"
+
+
+@pytest.mark.parametrize("bench", [bench for bench in BENCHES if bench not in ELSEWHERE])
+def test_a_bench_runs_to_its_end_in_its_smallest_run(bench, tmp_path, monkeypatch, capsys):
+    assert_measures(bench, tmp_path, monkeypatch, capsys)
+
+
+@pytest.mark.parametrize("bench", LONG)
+def test_a_long_bench_says_what_its_smallest_run_is(bench, tmp_path, monkeypatch, capsys):
+    assert run_smoke(bench, tmp_path, monkeypatch, "--help") == 0
+    assert "the smallest run" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -7,19 +7,16 @@ that needs a device, a network or real time stands in `ELSEWHERE` with the test 
 import argparse
 import asyncio
 import importlib
-import json
 import os
 import re
 import shlex
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -38,8 +35,7 @@ from estimator.contracts.time import Stamp, after
 from estimator.vision.pad.pad import Pad
 from tests.companion import calibration_flights
 from tests.companion.virtual_flight import TICK_S, FakeFlight, SeeingPilot, VirtualClock, settled
-from tests.support.processes import ran, started
-from tests.support.waiting import free_port
+from tests.support.processes import ran
 
 ROOT = Path(__file__).parents[2]
 ELSEWHERE = {
@@ -221,23 +217,6 @@ async def test_the_orders_of_a_guide_fly_and_land(page: str, end: str, flown: li
                 assert np.hypot(*service.drone.p_level[:2]) < 0.1, "on the pad"
 
 
-def test_the_first_hour_s_commands_run(reader: Path) -> None:
-    """Its blocks marked `run` are run by test_snippets.py, its orders are those of the page operator."""
-    ran = []
-    for words in commands_of("first-hour"):
-        line = " ".join(words)
-        later = any(" ".join(more).startswith(f"{line} ") for more in commands_of("first-hour"))
-        if elsewhere(words) or later or words[0] == "fly" or "wrong.toml" in words or "--draw" in words:
-            continue
-        flight = ["--perception", "model"] if words[0] == "simulate" else []
-        assert main([*words, *flight]) == 0, line
-        ran.append(words[0])
-    assert ran.count("simulate") == 2
-    assert "replay" in ran
-    assert (reader / "calm.mcap").is_file()
-    assert (reader / "seastate4/index.html").is_file()
-
-
 @pytest.mark.parametrize("page", ["page", "operator"])
 def test_the_settings_of_a_guide_are_taken_with_the_files_that_it_makes(page: str, reader: Path) -> None:
     text = (ROOT / f"docs/{page}.md").read_text()
@@ -266,68 +245,26 @@ def test_the_calibrations_of_a_flight_run(reader: Path, capsys: pytest.CaptureFi
     assert "images" in printed, "the page says that readout needs them"
 
 
-PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
-CLI = (sys.executable, "-m", "companion.cli.main")
-LANDS_S, BEGINS = 90.0, 3
-"""Limits for a busy machine. One that starves the service for seconds makes it give up, rightly; its advice is to begin again."""
+ARDRONE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
 
 
-@pytest.mark.timeout(420)
-def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
-    block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
+def ardrone_guide() -> tuple[str, list[str]]:
+    """Return the settings of the page for an AR.Drone, and each command that it has on a line of its own, without its comment."""
+    block = re.search(r"```toml rig\n(.*?)```", ARDRONE, re.DOTALL)
     assert block is not None
-    sea = 'title = "x"\nbase = "calm"\ncamera.file = "ardrone2_bottom"\nstart = {height_m = 1.5, pad_right_m = 0.2}\n'
-    (tmp_path / "sea.toml").write_text(sea)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    monkeypatch.chdir(tmp_path)
+    text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
+    return text, [re.split(r" {2,}#", line)[0].strip() for line in ARDRONE.splitlines() if re.match(r" {7}decklander ", line)]
 
-    def cli(*words: str) -> tuple[int, str]:
-        """Return exit code and output of a command, which runs in this process."""
-        named = ("--config", "rig.toml") if words[0] == "fly" else ()  # other services may run on this computer
-        code = main([*words, *named])
-        return code, "".join(capsys.readouterr())
 
-    def status_once(done: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        ends = time.monotonic() + LANDS_S
-        while time.monotonic() < ends:
-            code, answer = cli("fly", "status", "--json")
-            if code == 0 and done(status := json.loads(answer)):
-                return status
-            time.sleep(1.0)
-        raise AssertionError(f"{answer}{(tmp_path / 'log').read_text()}")
-
-    drone = [sys.executable, "-m", "sitl.emulators.ardrone.serve", str(tmp_path / "sea.toml"), "--seed", "3"]
-    drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
-    with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
-        ports = json.loads(emulator.stdout.readline())["ports"]
-        text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
-        text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
-        text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
-        (tmp_path / "rig.toml").write_text(text)
-        # Every command that the guide prints on a line of its own, without its comment.
-        todo = [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
-        for wanted in ("decklander keys token page.token", "decklander run --config rig.toml --check"):
-            assert todo.pop(0) == wanted
-            code, printed = cli(*wanted.split()[1:])
-            assert code == 0, printed
-        assert todo.pop(0) == "decklander run --config rig.toml"
-        with (
-            (tmp_path / "log").open("w") as log,
-            started([*CLI, "run", "--config", "rig.toml"], cwd=tmp_path, env=environment, stdout=log, stderr=log, lasting_s=400),
-        ):
-            status_once(lambda status: status["flying"])  # the simulated drone begins in the air
-            assert [line.split()[2] if len(line.split()) > 2 else "keys" for line in todo] == ["takeoff", "keys", "begin", "land"]
-            takeoff, _, begin, land = ([*line.split()[1:]] for line in todo)
-            for _ in range(BEGINS):
-                assert cli(*begin)[0] == 0
-                if not status_once(lambda status: not status["flying"] or status["phase"] == "gave up")["flying"]:
-                    break
-            else:
-                raise AssertionError((tmp_path / "log").read_text())
-            for order in (takeoff, land):
-                code, printed = cli(*order)
-                assert code == 0, printed
-            status_once(lambda status: not status["flying"])
+def test_the_guide_of_an_ardrone_checks_its_settings_before_it_flies(reader: Path) -> None:
+    """Its orders fly and land a simulated drone in qualification/test_guides.py."""
+    settings, commands = ardrone_guide()
+    (reader / "rig.toml").write_text(settings)
+    for words in (shlex.split(command)[1:] for command in commands[:2]):
+        assert main(words) == 0, words
+    assert [" ".join(command.split()[1:3]) for command in commands] == [
+        "keys token", "run --config", "run --config", "fly takeoff", "fly", "fly begin", "fly land",
+    ]  # fmt: skip
 
 
 PAGES = [*sorted(ROOT.glob("docs/**/*.md")), *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY"))]

@@ -1,39 +1,33 @@
-"""The operator page in Debian's Chromium, over the service's own endpoint and the real pilot."""
+"""The operator page in Debian's Chromium, over the service's own endpoint and the real pilot.
 
-import re
+One browser serves all of them. Its layout in all sizes, and a report that opens from it, are in `make qualify`.
+"""
+
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+import pytest_asyncio
 from msgspec import structs, to_builtins
 
-from companion.base.mission import Reason, ReasonCause
 from companion.facts import encode as facts
-from companion.guidance.mission.land_here import Touch
 from estimator.contracts.address import masked
 from estimator.contracts.commands import CutMotors, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
 from tests.companion.page.test_tools import FASTER, RIG, rig
-from tests.fly import record_to
-from tests.support.browser import CALM, LAPTOP, MARKS, PHONE, SIDEWAYS, TRIES, WAIT_MS, chromium, playwright, violations, window
+from tests.support.browser import CALM, MARKS, PHONE, TRIES, WAIT_MS, chromium, playwright, violations, window
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, serving
 from tests.support.waiting import free_port, until
 
-pytestmark = MARKS
-ORDER_BUTTONS = [f'[data-order="{order}"]' for order in ("takeoff", "begin", "hold", "land", "abort")]
+pytestmark = [*MARKS, pytest.mark.asyncio(loop_scope="module")]
 BELIEVED = RelativeState(MonoNs(0), "ekf", np.array([0.2, 0.3, 2.0]), np.zeros(3), 0.0, np.eye(7) / 1e4, MonoNs(0), True)
-SIZES = ((LAPTOP, 44), (PHONE, 44), (SIDEWAYS, 40), ({"width": 320, "height": 568}, 44), ({"width": 768, "height": 1024}, 44))
-TEXTS = [Reason(cause, 2.5, 1.25, "left").text for cause in ReasonCause] + [Touch(1.5, 0.15, 6.0, "known to 0.6 m").text]
-IN_FEET = "async (texts) => (await import('/units.js')).inUnits({ kind: 'event', texts }).texts"
-FIGURES = "async (values) => { const { figure } = await import('/units.js'); return values.map((v) => figure('length', v)); }"
-EVENT = "async () => (await import('/telling.js')).event({ kind: 'event', at_s: 0, level: 'info', text: '2.50 m off' })"
 FELT = """() => {
     window.felt = [];
     navigator.vibrate = ([first_ms]) => felt.push(first_ms);
@@ -41,6 +35,12 @@ FELT = """() => {
     OscillatorNode.prototype.start = function (at_s) { felt.push(`${this.frequency.value} Hz`); start.call(this, at_s); };
 }"""
 STOPPED, LOST = 150, 400  # the first length of each alarm's vibration, ms
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def browser() -> AsyncIterator[Any]:
+    async with chromium() as one:
+        yield one
 
 
 BROKEN_DECODER = """
@@ -56,8 +56,8 @@ globalThis.VideoDecoder = class {
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("script", ["delete globalThis.VideoDecoder", BROKEN_DECODER], ids=["none", "broken"])
-async def test_a_browser_that_cannot_decode_video_is_shown_jpeg(tmp_path: Path, script: str) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, token="") as one:
+async def test_a_browser_that_cannot_decode_video_is_shown_jpeg(browser: Any, tmp_path: Path, script: str) -> None:
+    async with serving(tmp_path, **CALM) as service, window(browser, service, token="") as one:
         await one.page.add_init_script(script)
         await one.page.goto("about:blank")
         await one.page.goto(f"{service.address}/#token={TOKEN}")
@@ -69,8 +69,8 @@ async def test_a_browser_that_cannot_decode_video_is_shown_jpeg(tmp_path: Path, 
 
 
 @pytest.mark.timeout(500)
-async def test_a_person_watches_takes_over_and_cuts_the_motors(tmp_path: Path) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+async def test_a_person_watches_takes_over_and_cuts_the_motors(browser: Any, tmp_path: Path) -> None:
+    async with serving(tmp_path, **CALM) as service, window(browser, service) as one:
         await one.shows("phase", "search")
         assert TOKEN not in one.page.url, "the token leaves the address"
         await playwright.expect(one.page.locator("#picture-note")).to_be_hidden(timeout=WAIT_MS)
@@ -169,9 +169,11 @@ OLD = "getComputedStyle(document.getElementById('phase'), '::before').content"
 
 
 @pytest.mark.timeout(500)
-async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_and_the_next_gets_the_stop(tmp_path: Path) -> None:
+async def test_over_tls_a_lost_hand_and_a_silent_or_ended_service_are_shown_and_the_next_gets_the_stop(
+    browser: Any, tmp_path: Path
+) -> None:
     options = {"endpoint": "https", "port": free_port(), **make_certificates(tmp_path), **CALM}
-    async with chromium() as browser, AsyncExitStack() as stack:
+    async with AsyncExitStack() as stack:
         async with serving(tmp_path, **options) as service:
             one = await stack.enter_async_context(window(browser, service, ignore_https_errors=True))
             await playwright.expect(one.page.locator("#picture")).to_have_attribute("data-codec", "h264", timeout=WAIT_MS)
@@ -206,12 +208,8 @@ async def test_over_tls_a_lost_hand_a_silent_and_an_ended_service_are_reported_a
 
 
 @pytest.mark.timeout(500)
-async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Path) -> None:
-    async with (
-        serving(tmp_path, **CALM) as service,
-        chromium() as browser,
-        window(browser, service, "not-the-right-token") as one,
-    ):
+async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(browser: Any, tmp_path: Path) -> None:
+    async with serving(tmp_path, **CALM) as service, window(browser, service, "not-the-right-token") as one:
         await one.shows("login-error", "the token is wrong")
         assert await one.page.is_hidden("#flight")
         await one.page.fill("#token", TOKEN)
@@ -224,96 +222,13 @@ async def test_a_wrong_token_is_refused_and_the_right_one_typed_in(tmp_path: Pat
         await one.shows("login-error", "the token is wrong")
 
 
-@pytest.mark.timeout(500)
-async def test_every_order_is_in_sight_and_stays_in_its_place_by_day_in_metres_and_by_night_in_feet(tmp_path: Path) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service, has_touch=True) as one:
-        service.believed = BELIEVED
-        places: dict[str, Any] = {}
-        for night, (size, least_px) in [(night, one) for night in (False, True) for one in SIZES]:
-            if night and size == LAPTOP:
-                await one.page.evaluate(EVENT)
-                await one.page.select_option("#units", "feet")
-                await one.shows("events", "8.2 ft off")
-                for button in ("#alarms", "#theme"):  # on and off; dark and night
-                    await one.page.click(button, click_count=2)
-                await one.page.reload()
-                assert await one.page.is_hidden("#alarms-ask"), "asked once"
-            await one.page.set_viewport_size(size)
-            await one.shows("height", "^6.6ft$" if night else "^2.00m$")
-            assert await one.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-            for grow in (False, True):
-                if grow:
-                    await one.page.click('[data-order="land"]')
-                    await playwright.expect(one.page.locator("#asks")).to_be_visible(timeout=WAIT_MS)
-                    await one.page.evaluate("[answer, reason, worst].forEach((e) => (e.textContent = 'over a line '.repeat(8)))")
-                asks = [] if night or grow else ["#alarms-ask [value=on]"]
-                for name in (*ORDER_BUTTONS, "#emergency", *asks):
-                    box = await one.page.locator(name).bounding_box()
-                    assert least_px <= box["height"] <= box["y"] + box["height"] <= size["height"]
-                    assert places.setdefault(f"{name} {size}", box) == box, "no button moves under a thumb or pointer"
-                hand = await one.page.locator("#by-hand").bounding_box()
-                assert places.setdefault(f"by hand {size}", hand) == hand
-            shot = cv2.imdecode(np.frombuffer(await one.page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
-            assert (shot[..., :2].max() == 0) == night, "by night nothing but red"
-            await one.page.keyboard.press("Escape")
-        metres = np.geomspace(0.01, 300.0, 40)
-        for value, (text, unit) in zip(metres, await one.page.evaluate(FIGURES, metres.tolist()), strict=True):
-            assert float(text) * {"ft": 0.3048, "in": 0.0254}[unit] == pytest.approx(value, rel=0.05, abs=0.002)
-        for before, after in zip(TEXTS, await one.page.evaluate(IN_FEET, TEXTS), strict=True):
-            assert not re.search(r"[\d.]+ c?m\b(?!/s\^)", after) or re.search(r"_m\b", before), after
-        await one.shows("worst", "no status from the vehicle yet")
-        assert await one.page.locator("#link").get_attribute("data-level") == "fault", "no green over what is missing"
-        assert await one.page.locator('[data-order="begin"].primary').count() == 0
-        await one.page.set_viewport_size(SIDEWAYS)
-        await one.page.click("#by-hand")
-        await playwright.expect(one.page.locator("#sticks")).to_be_visible(timeout=WAIT_MS)
-        await playwright.expect(one.page.locator("#flown")).to_be_in_viewport(timeout=WAIT_MS)
-        await one.shows("flown", "^height 6.6 ft, climb 0 ft/min$")
-        stick = await one.page.locator(".stick").first.bounding_box()
-        middle = (stick["x"] + stick["width"] / 2, stick["y"] + stick["height"] / 2)
-        await one.page.mouse.move(*middle)
-        await one.page.mouse.down()
-        await one.page.evaluate("lost.hidden = false, (lost.textContent = 'out of touch '.repeat(30))")
-        await one.page.mouse.move(middle[0] + 1, middle[1])
-        moved = await one.page.locator(".stick span").first.evaluate("e => e.style.transform")
-        assert re.fullmatch(r"translate\([0-4]\.?\d*%, -?0%\)", moved), "a still thumb commands nothing when the page moves"
-        await one.page.mouse.up()
-        for name in ("#sticks", '[data-order="hold"]', "#answer", "#emergency"):
-            box = await one.page.locator(name).bounding_box()
-            assert 0 <= box["y"] <= box["y"] + box["height"] <= 390, f"{name} is in sight of who holds the phone sideways"
-        picture, orders = [await one.page.locator(name).bounding_box() for name in ("#picture", "#orders")]
-        assert picture["x"] + picture["width"] <= orders["x"]
-
-
-@pytest.mark.timeout(500)
-async def test_a_flight_s_report_opens_from_the_page_and_reaches_nothing_of_it(tmp_path: Path) -> None:
-    (tmp_path / "recordings").mkdir()
-    record_to(tmp_path / "recordings/decklander-1.mcap")
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
-        service.flying = False
-        await one.shows("link", "live")
-        await one.page.click("#list-recordings")
-        await one.page.click('[aria-label="Report decklander-1.mcap"]')
-        ready = one.page.locator("#recordings-note")  # a busy machine leaves little to a process of the least priority
-        await playwright.expect(ready).to_have_text(re.compile("the report is ready"), timeout=5 * WAIT_MS)
-        async with one.page.expect_popup() as opened:
-            await one.page.click('[aria-label="Open the report of decklander-1.mcap"]')
-        report = await opened.value
-        faults: list[str] = []
-        report.on("pageerror", lambda error: faults.append(str(error)))
-        await report.wait_for_load_state()
-        await report.wait_for_function("document.querySelector('video').readyState >= 2")
-        assert await report.evaluate("origin") == "null"
-        assert faults == one.faults == []
-
-
 FOCUS = """(() => { const e = document.activeElement, s = getComputedStyle(e);
   return [e.dataset.order || e.id || e.className, e.matches(':focus-visible') && s.outlineStyle !== 'none']; })()"""
 
 
 @pytest.mark.timeout(500)
-async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+async def test_the_keyboard_alone_reaches_and_gives_every_order(browser: Any, tmp_path: Path) -> None:
+    async with serving(tmp_path, **CALM) as service, window(browser, service) as one:
         await one.shows("link", "live")
 
         async def tab_to(name: str) -> list[str]:
@@ -352,8 +267,8 @@ async def test_the_keyboard_alone_reaches_and_gives_every_order(tmp_path: Path) 
 
 
 @pytest.mark.timeout(500)
-async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) -> None:
-    async with serving(tmp_path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(browser: Any, tmp_path: Path) -> None:
+    async with serving(tmp_path, **CALM) as service, window(browser, service) as one:
         await one.shows("link", "live")
 
         async def flies(axis: int, sign: float) -> None:
@@ -439,9 +354,9 @@ async def test_a_person_flies_by_hand_by_keys_touch_and_gamepad(tmp_path: Path) 
 
 
 @pytest.mark.timeout(500)
-async def test_a_person_reads_findings_and_mends_the_settings(tmp_path: Path) -> None:
+async def test_a_person_reads_findings_and_mends_the_settings(browser: Any, tmp_path: Path) -> None:
     path = rig(tmp_path)
-    async with serving(tmp_path, settings_file=path, **CALM) as service, chromium() as browser, window(browser, service) as one:
+    async with serving(tmp_path, settings_file=path, **CALM) as service, window(browser, service) as one:
         await service.lands()
         (tmp_path / "token").unlink()
         await one.shows("link", "live")
