@@ -34,7 +34,7 @@ pythons:
 	@sh supply/pythons.sh
 
 # Slow proofs that a change of Python rarely breaks: sanitizers, another architecture, kernel devices, installations, a learned
-# detector, no pad where there is none, and a report in a browser.
+# detector, no pad where there is none, the page and a report in a browser, each bench's smallest run, the guides' long flights.
 qualify: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 	$(BIN)/pytest qualification
 

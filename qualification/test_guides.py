@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -12,11 +13,12 @@ from typing import Any
 import pytest
 
 from companion.cli.main import main
-from tests.docs.test_guides import ROOT, ardrone_guide, commands_of, elsewhere, reader
+from tests.docs.test_guides import ROOT, commands_of, elsewhere, reader
 from tests.support.processes import started
 from tests.support.waiting import free_port
 
 __all__ = ["reader"]
+PAGE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
 CLI = (sys.executable, "-m", "companion.cli.main")
 LANDS_S, BEGINS = 90.0, 3
 """Limits for a busy machine. One that starves the service for seconds makes it give up, rightly; its advice is to begin again."""
@@ -41,6 +43,8 @@ def test_the_first_hour_s_commands_run(reader: Path) -> None:
 
 @pytest.mark.timeout(420)
 def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_path, monkeypatch, capsys):
+    block = re.search(r"```toml rig\n(.*?)```", PAGE, re.DOTALL)
+    assert block is not None
     sea = 'title = "x"\nbase = "calm"\ncamera.file = "ardrone2_bottom"\nstart = {height_m = 1.5, pad_right_m = 0.2}\n'
     (tmp_path / "sea.toml").write_text(sea)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -65,10 +69,12 @@ def test_the_guide_s_settings_and_commands_fly_and_land_the_simulated_drone(tmp_
     drone += ["--navdata-port", "0", "--video-port", "0", "--at-port", "0", "--control-port", "0"]
     with started(drone, stdin=subprocess.PIPE, lasting_s=400) as emulator:
         ports = json.loads(emulator.stdout.readline())["ports"]
-        settings, todo = ardrone_guide()
-        text = settings.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
+        text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
+        text = text.replace("192.168.1.1", "127.0.0.1").replace("[http]\n", f"[http]\nport = {free_port()}\n")
         text += "[expert.vehicle]\n" + "".join(f"{name}_port = {port}\n" for name, port in ports.items())
         (tmp_path / "rig.toml").write_text(text)
+        # Every command that the guide prints on a line of its own, without its comment.
+        todo = [re.split(r" {2,}#", line)[0].strip() for line in PAGE.splitlines() if re.match(r" {7}decklander ", line)]
         for wanted in ("decklander keys token page.token", "decklander run --config rig.toml --check"):
             assert todo.pop(0) == wanted
             code, printed = cli(*wanted.split()[1:])

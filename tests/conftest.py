@@ -35,9 +35,9 @@ if sys.dont_write_bytecode and not sys.pycache_prefix:
 
 ROOT = Path(__file__).parents[1]
 SLOW = (ROOT / "tests/slow.txt").read_text(encoding="ascii").split()
-"""Files and folders that take more than 0.8 s of processor time, the longest first. They are marked `slow`, and start first.
+"""Files and folders that take more than a second of processor time, the longest first. They are marked `slow`, and start first.
 Not among them are the strongest tests of filter and registration, some seconds each, which run before each commit."""
-APART = ("tests/sitl/autopilots/test_stand_in_landings.py", "tests/benches/test_smoke.py")
+APART = ("tests/sitl/autopilots/test_stand_in_landings.py", "tests/sitl/test_one_flight.py", "tests/sitl/test_flight.py")
 """Files of long tests that share nothing, so that one worker need not run them all."""
 
 
@@ -104,8 +104,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Start two workers more than there are cores: what a test waits for, be it a process, a link or a second, takes no core."""
-    return len(os.sched_getaffinity(0)) + 2
+    """Start one worker more than there are cores: what a test waits for takes no core, but each worker collects all tests."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -18,6 +18,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
+from companion.tools.pads import foreign
 from companion.tools.pads.photograph import photographed
 from companion.tools.pads.price import CAMERA, planted, price, view
 from companion.tools.pads.svg import read_svg
@@ -45,8 +46,19 @@ SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="400mm" height="500mm" vi
 
 @pytest.fixture(autouse=True)
 def drawn_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw in fewer pixels than for a person, to the same tenths of a millimetre."""
-    monkeypatch.setattr("companion.tools.pads.trace.ACROSS_PX", 2000)
+    """Draw in fewer pixels than for a person, to the same tenths of a millimetre, and in this process.
+
+    tests/companion/test_files_of_others.py holds the child process to its bounds.
+    """
+
+    def drawn_here(module: str, task: str, data: bytes, where: str) -> bytes:
+        try:
+            return foreign._TASKS[task](data)
+        except BadInput as why:
+            raise BadInput(f"{where}: {why}") from why
+
+    monkeypatch.setattr("companion.tools.pads.trace.ACROSS_PX", 1600)
+    monkeypatch.setattr("companion.tools.pads.svg.in_child", drawn_here)
 
 
 def imported(text: str, size_m: float | None = None, extent: str | None = None) -> Pad:

@@ -245,28 +245,6 @@ def test_the_calibrations_of_a_flight_run(reader: Path, capsys: pytest.CaptureFi
     assert "images" in printed, "the page says that readout needs them"
 
 
-ARDRONE = (ROOT / "docs/ardrone.md").read_text().partition("## An AR.Drone 1.0")[0]
-
-
-def ardrone_guide() -> tuple[str, list[str]]:
-    """Return the settings of the page for an AR.Drone, and each command that it has on a line of its own, without its comment."""
-    block = re.search(r"```toml rig\n(.*?)```", ARDRONE, re.DOTALL)
-    assert block is not None
-    text = "".join(line[3:] or "\n" for line in block[1].splitlines(keepends=True))
-    return text, [re.split(r" {2,}#", line)[0].strip() for line in ARDRONE.splitlines() if re.match(r" {7}decklander ", line)]
-
-
-def test_the_guide_of_an_ardrone_checks_its_settings_before_it_flies(reader: Path) -> None:
-    """Its orders fly and land a simulated drone in qualification/test_guides.py."""
-    settings, commands = ardrone_guide()
-    (reader / "rig.toml").write_text(settings)
-    for words in (shlex.split(command)[1:] for command in commands[:2]):
-        assert main(words) == 0, words
-    assert [" ".join(command.split()[1:3]) for command in commands] == [
-        "keys token", "run --config", "run --config", "fly takeoff", "fly", "fly begin", "fly land",
-    ]  # fmt: skip
-
-
 PAGES = [*sorted(ROOT.glob("docs/**/*.md")), *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY"))]
 
 

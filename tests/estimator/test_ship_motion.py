@@ -81,7 +81,7 @@ def test_delay_and_noise_are_found_against_the_camera(late_s: float) -> None:
         down, roll, pitch = swell(t)
         return down + 0.1 * rng.standard_normal(), roll, pitch
 
-    witness, named = beside_camera(noisy, until_s=70.0, late_s=late_s)
+    witness, named = beside_camera(noisy, until_s=55.0, late_s=late_s)
     found = only(witness)
     assert named is None
     assert found.used == ("heave", "tilt")
@@ -219,7 +219,7 @@ def test_steps_that_no_ship_makes_and_frozen_numbers_are_refused() -> None:
 def test_the_sensor_that_agrees_best_is_fused() -> None:
     rng = np.random.default_rng(5)
     rough: Sensor = lambda t: (swell(t)[0] + 0.15 * rng.standard_normal(), *swell(t)[1:])  # noqa: E731
-    witness, _ = beside_camera(swell, until_s=70.0, names={"rough": rough, "fine": swell})
+    witness, _ = beside_camera(swell, until_s=55.0, names={"rough": rough, "fine": swell})
     heave = {s.sensor: "heave" in s.used for s in witness.standings()}
     assert heave == {"rough": False, "fine": True}
     chosen, _ = beside_camera(
