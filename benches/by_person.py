@@ -14,16 +14,14 @@ the last contact. The worst of several contacts counts. Exit code 0 where 95 % a
 Flights that the file of `--write` has are not flown again: remove a file of other code first.
 """
 
-import asyncio
 import json
 import math
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -34,7 +32,7 @@ from msgspec.structs import replace
 from benches.options import described, parsed
 from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
-from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.emulators.autopilots.stand_in.flight import StackName, StandInFlight
 from sitl.faults.kinds import AnyFault, LensCovered, OperatorActs
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.perception.levels import perceive
@@ -105,11 +103,9 @@ def flown(vehicle: str, speed_m_s: float, height_m: float, seed: int, *, blind: 
         ending = fly("weather_3", scenario, seed, settings_for(scenario, None), "model", [seen], FlyOptions())
         armed_s = 0.0
     else:
-        name: Literal["arducopter", "px4"] = "px4" if vehicle == "px4" else "arducopter"
+        name: StackName = "px4" if vehicle == "px4" else "arducopter"
         settings = settings_for(scenario, None, by_autopilot=True)
-        with tempfile.TemporaryDirectory() as folder:
-            program = AutopilotProgram(name, None)
-            end = asyncio.run(AutopilotFlight(scenario, seed, settings, program, Path(folder), [seen], perceive("model")).fly())
+        end = StandInFlight(scenario, seed, settings, name, observers=[seen], perception=perceive("model")).fly()
         ending = end.ending
         armed_s = math.inf if ending.contacts and end.armed_after_contact_s is None else end.armed_after_contact_s or 0.0
     contacts = ending.contacts

@@ -3,7 +3,7 @@
 python -m benches.killed [--autopilot {px4,arducopter}] [--binary PATH] [--scenario NAME] [--phase NAME ...] [--first SEED]
     [--seeds N] [--perception truth|model|pixels] [--for SECONDS]
 
-Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, in lock step, one after the other, and
+Every flight is one of `decklander simulate --autopilot` with the fault `service_killed`, one after the other, and
 has a line on standard error.
 """
 
@@ -17,9 +17,10 @@ from statistics import median
 import msgspec
 
 from benches.options import described, parsed
-from companion.base import event_loop
-from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram, FlightEnd
-from sitl.emulators.autopilots.program import executable
+from sitl.emulators.autopilots.conduct import FlightEnd
+from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.emulators.autopilots.programs.program import executable
+from sitl.emulators.autopilots.stand_in.flight import StandInFlight
 from sitl.faults.kinds import ServiceKilled
 from sitl.flight.one_flight import perception_level, settings_for
 from sitl.perception.levels import perceive
@@ -49,11 +50,12 @@ def fly(args: argparse.Namespace, phase: str, seed: int) -> FlightEnd:
     """Fly once."""
     scenario = scenario_of(args.scenario, phase, args.for_s)
     settings = settings_for(scenario, None, by_autopilot=True)
-    binary = None if args.binary == "stand-in" else executable(args.binary, args.autopilot)
-    program = AutopilotProgram(args.autopilot, binary)
+    seen_by = perceive(args.perception)
+    if args.binary is None:
+        return StandInFlight(scenario, seed, settings, args.autopilot, perception=seen_by).fly()
+    program = AutopilotProgram(args.autopilot, executable(args.binary))
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:
-        flight = AutopilotFlight(scenario, seed, settings, program, Path(folder), perception=perceive(args.perception))
-        return event_loop.run(flight.fly())
+        return AutopilotFlight(scenario, seed, settings, program, Path(folder), perception=seen_by).fly()
 
 
 def table(flights: Sequence[tuple[str, FlightEnd]]) -> str:
@@ -92,7 +94,7 @@ def main() -> int:
     """Fly and print; return 0 if the daemon was killed in some flight, and each such flight ended on the pad."""
     parser = described(__doc__)
     parser.add_argument("--autopilot", choices=("px4", "arducopter"), default="arducopter")
-    parser.add_argument("--binary", default="stand-in")
+    parser.add_argument("--binary")
     parser.add_argument("--scenario", default="rendezvous")
     parser.add_argument("--phase", nargs="+", choices=tuple(CASES), default=tuple(CASES))
     parser.add_argument("--first", type=int, default=21)

@@ -10,7 +10,7 @@ import logging
 import random
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, NamedTuple, NoReturn
 
 from msgspec import Struct
 
@@ -108,6 +108,24 @@ class _Outage:
             _log.info("%s: up again after %d failed attempts", self._name, self._failures)
         self._failures, self._at_cap = 0, False
         self._reasons.clear()
+
+
+class Repeated(NamedTuple):
+    """Work that is done again and again, without a loop of its own: a task sleeps between, a simulation steps it."""
+
+    name: str
+    step: Callable[[], float]
+    """Does what is due now, and returns the time until it is to be called again, s."""
+    first_s: float = 0.0
+    """Time until the first call, s."""
+
+    async def run(self, clock: Clock) -> NoReturn:
+        """Do it until cancelled."""
+        wait_s = self.first_s
+        while True:
+            if wait_s > 0.0:
+                await clock.sleep(wait_s)
+            wait_s = self.step()
 
 
 @asynccontextmanager

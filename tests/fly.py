@@ -169,7 +169,7 @@ def fly_recorded(observers: Sequence[Observer], seconds: float, recorder: Record
         flight.step()
         if step == _ORDER_AT_STEP:
             for order, detail in ((OperatorOrder.RECORD, "on"), (OperatorOrder.CLEAR, "")):
-                flight._pilot.operator.take(order, OrderSender(OrderSource.TERMINAL, "1"), flight.world.now, detail)
+                flight.pilot.operator.take(order, OrderSender(OrderSource.TERMINAL, "1"), flight.world.now, detail)
         if recorder is not None and step % 4 == 0:
             t = flight.world.truth()
             recorder.on_truth(TruthRecord(int(t.at), t.d_body_pad_level.tolist(), t.v_pad_level.tolist(), t.yaw_rad))

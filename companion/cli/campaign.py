@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(
         more,
         "--autopilot",
-        "fly the stand-in of this autopilot instead of an AR.Drone (docs/sitl.md)",
+        "fly this autopilot in miniature instead of an AR.Drone (docs/sitl.md)",
         choices=("arducopter", "px4"),
     )
     results = parser.add_argument_group("results")
@@ -193,7 +193,7 @@ def _options(args: argparse.Namespace) -> Iterator[str]:
     perception = None if args.perception == "pixels" else args.perception
     options = [("--config", args.config), ("--perception", perception), ("--perception-model", args.perception_model)]
     options += [*(("--set", value) for value in args.set), ("--faults", args.faults)]
-    options += [("--autopilot", args.autopilot), ("--binary", args.autopilot and "stand-in")]
+    options.append(("--autopilot", args.autopilot))
     yield from (word for option in options if option[1] for word in option)
 
 
@@ -240,7 +240,7 @@ def _flyer(args: argparse.Namespace, *, drawn: bool) -> Flyer:
     """Return what flies one scenario once; `drawn`: with the faults that its seed draws."""
     if args.autopilot is None:
         return fly_with_random_faults if drawn else fly_flight
-    from sitl.emulators.autopilots.flight import fly_stand_in  # MAVLink and asyncio, which a flight in virtual time does not need
+    from sitl.emulators.autopilots.stand_in.flight import fly_stand_in  # loads MAVLink, which an AR.Drone does not need
 
     return partial(fly_stand_in, args.autopilot, drawn)
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -18,6 +19,7 @@ from companion.cli.kept_flight import keeping, shown
 from companion.cli.options import check_seed, option, print_result, refuse_any
 from companion.cli.outputs import LOGS, REPORT_FOLDER, output
 from companion.settings.load import find_file, shipped
+from companion.settings.model import Settings
 from companion.settings.overrides import finite
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
@@ -26,10 +28,14 @@ from sitl.faults.carried import refuse_others
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.perception.levels import perceive
-from sitl.perception.port import Level
-from sitl.scenario.scenario import FAULTS
+from sitl.perception.port import Level, Perception
+from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
+
+if TYPE_CHECKING:
+    from sitl.emulators.autopilots.flight import AutopilotFlight
+    from sitl.emulators.autopilots.stand_in.flight import StandInFlight
 
 DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
@@ -54,10 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--json", "print one JSON object")
     output(parser, "--report DIR", "write a report into this folder (report)", REPORT_FOLDER, nargs="?", const=Path("report"))
     kept_flight.add_arguments(parser)
-    beside = parser.add_argument_group("real autopilots (docs/sitl.md)")
-    flown = "fly this autopilot program over the simulated sea and vehicle"
+    beside = parser.add_argument_group("autopilots (docs/sitl.md)")
+    flown = "fly this autopilot over the simulated sea: in miniature and in virtual time, or with --binary the program itself"
     option(beside, "--autopilot", flown, choices=("arducopter", "arduplane", "px4"))
-    option(beside, "--binary PATH", "path of the autopilot program; `stand-in` flies a stand-in for it")
+    option(beside, "--binary PATH", "path of the autopilot program")
     whose = "the vehicle is simulated by us, or by the program (its own)"
     option(beside, "--physics", whose, default="ours", choices=("ours", "own"))
     option(beside, "--follow URL", "follow a vehicle that another simulator flies, with the deck and camera of this one")
@@ -71,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
     check_seed(args)
     perception = perception_level(args.perception)
     follows, beside = args.follow is not None, args.autopilot is not None
-    with_program = args.binary is not None or args.keep is not None or args.param or args.unaided or args.physics != "ours"
+    of_program = args.binary is not None or args.keep is not None or args.physics != "ours"
+    with_program = of_program or args.param or args.unaided
     program = "--binary, --physics, --param, --unaided"
     refuse_any(
         (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
@@ -79,9 +86,11 @@ def run(args: argparse.Namespace) -> int:
         (args.pad is not None and follows, "--pad does not go with --follow"),
         (args.pad is not None and any("pad.file=" in one for one in args.set), "--pad sets pad.file: give one of them"),
         (args.faults and follows, "--faults does not go with --follow"),
-        (args.faults and beside and args.binary != STAND_IN, "--faults goes with --binary stand-in"),
+        (args.faults and args.binary, "--faults does not go with --binary: a program flies few of the faults"),
         (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
         (with_program and not beside, f"{program} and --keep go with --autopilot"),
+        (of_program and args.binary is None, "--physics own and --keep go with --binary PATH, a program"),
+        (args.autopilot == "arduplane" and args.binary is None, "--autopilot arduplane needs --binary PATH (docs/sitl.md)"),
     )
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
@@ -108,17 +117,11 @@ def run(args: argparse.Namespace) -> int:
     return 0 if ending.good and not kept.incomplete else 1
 
 
-STAND_IN = "stand-in"
-"""The word for --binary that flies the stand-in for a program instead of a program."""
-
-
 def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     """Fly the scenario; return 0 if it landed on the pad, else 1."""
-    from companion.base import event_loop  # these load MAVLink and asyncio, which a flight in virtual time does not need
-    from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
-    from sitl.emulators.autopilots.program import executable
+    from sitl.emulators.autopilots.programs.program import executable
 
-    binary = None if args.binary == STAND_IN else executable(args.binary, args.autopilot)
+    binary = None if args.binary is None else executable(args.binary)
     scenario = load_scenario(args.scenario, args.base)
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception, autopilot=True)
@@ -126,27 +129,41 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    flight_options.warn(args, [settings], "a flight with an autopilot program")
-    autopilot = AutopilotProgram(args.autopilot, binary, parameters(args.param), own=args.physics == "own", unaided=args.unaided)
+    flight_options.warn(args, [settings], "a flight with an autopilot")
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
+    kind = "in miniature" if binary is None else binary.name
+    facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": kind}
     with _folder(args.keep) as folder:
-        flight = AutopilotFlight(scenario, args.seed, settings, autopilot, folder, (), seen_by)
-        facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": STAND_IN if binary is None else binary.name}
-        flown = flight.service_settings(COMPANION_PORT)
-        with keeping(args, flown, scenario.title, perception, facts, from_truth=True) as kept:
+        flight = _flight_of(args, binary, folder, scenario, settings, seen_by)
+        with keeping(args, flight.service_settings(), scenario.title, perception, facts, from_truth=True) as kept:
             flight.shadows, flight.on_start, flight.on_truth = kept.shadows, kept.on_start, kept.on_truth
             with shown(quiet=args.json) as observers:
                 flight.observers = (*observers, *kept.observers)
-                end = event_loop.run(flight.fly())
+                end = flight.fly()
             texts = (f"{at:8.2f} s  component {component:3d}  {text}\n" for at, component, text in end.texts)
             (folder / "texts.txt").write_text("".join(texts))
             ending, wall_s = replace(end.ending, scenario=args.scenario), time.monotonic() - began
-            report = kept.end(ending, wall_s, f"in lock step with {facts['binary']}")
+            report = kept.end(ending, wall_s, "virtual time" if binary is None else f"in lock step with {kind}")
     as_flown = replace(end, ending=ending)
     lines = [*(silence.in_words() for silence in end.silences), end.failure or ending.in_words()]
     lines.append(f"{ending.duration_s:.1f} s from the order to land; {wall_s:.0f} s on the wall clock\n{report}")
     print_result(args, {**as_flown.as_json(), "autopilot": args.autopilot, "physics": args.physics}, "\n".join(lines))
     return 0 if ending.good and not kept.incomplete else 1
+
+
+def _flight_of(
+    args: argparse.Namespace, binary: Path | None, folder: Path, scenario: Scenario, settings: Settings, seen_by: Perception
+) -> StandInFlight | AutopilotFlight:
+    """Return the flight of a program, or without one of the autopilot in miniature."""
+    given = parameters(args.param)
+    if binary is None:  # these load MAVLink, and a program's asyncio, which other flights do not need
+        from sitl.emulators.autopilots.stand_in.flight import StandInFlight
+
+        return StandInFlight(scenario, args.seed, settings, args.autopilot, dict(given), perception=seen_by, unaided=args.unaided)
+    from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+
+    program = AutopilotProgram(args.autopilot, binary, given, own=args.physics == "own", unaided=args.unaided)
+    return AutopilotFlight(scenario, args.seed, settings, program, folder, perception=seen_by)
 
 
 def parameters(given: Sequence[str]) -> tuple[tuple[str, float], ...]:

@@ -138,7 +138,7 @@ _IDLE_IN = {
     "a replay": rf"{_LINKS}|(rtk|service)\.|camera\.(?!file|gimbal\.)|operator\.(?!manual\.)|vehicle\.(host|links)",
     "a replay without --mavlink": r"landing_target\.",
     "a simulated flight": rf"{_LINKS}|(landing_target|service)\.|operator\.(?!manual\.)|vehicle\.host",
-    "a flight with an autopilot program": _LINKS,
+    "a flight with an autopilot": _LINKS,
     "a replay that searches no frames": r"vision\.|camera\.(?!file)",
     "a flight by --perception truth": r"estimator\.",
     "a flight without frames, as by --perception model": (

@@ -15,7 +15,7 @@ from drivers.mavlink.custody import LEFT_ALONE, Authority, Hand, HandEvent
 from drivers.mavlink.dialect import Message, TimeSyncV2, mav
 from drivers.mavlink.failsafe import UNNAMED
 from drivers.mavlink.joined_texts import JoinedTexts
-from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
+from drivers.mavlink.links import Link, LinkOptions, Links, ReceivedMessage, kept_open
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.origins import Origins
 from drivers.mavlink.requests import RATES_HZ, Parameters, RateLimit, Streams, VersionRequest, is_for
@@ -32,7 +32,7 @@ from drivers.mavlink.setpoint_streamer import SetpointStreamer
 from drivers.mavlink.take_off import Rested
 from drivers.mavlink.timesync import TimeSync, answer_to
 from drivers.mavlink.vehicle import VELOCITY_MODE, Condition, Identity, Stack, Version, is_autopilot, stack_of, version_of
-from drivers.reconnect import running_beside
+from drivers.reconnect import Repeated, running_beside
 from estimator.contracts.commands import Command, CutMotors, Hover, Lean, LeaveEmergency, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.geometry import F64, Rotation
@@ -111,7 +111,7 @@ class Autopilot:
         self._open = True
         self._known: _Known | None = None
         self._listeners: list[Callable[[ReceivedMessage], None]] = []
-        self._taken_at = clock.now()
+        self._taken_at = self._ticked_at = clock.now()
         self._timed_at: MonoNs | None = None
         """Time of the newest TIMESYNC request; None before the first."""
         self._boots = (0, 0)
@@ -289,14 +289,23 @@ class Autopilot:
         """
         self._listeners.remove(listener)
 
+    @property
+    def work(self) -> tuple[Repeated, ...]:
+        """Its work while the link is open: it reads waiting messages, and sends what is due."""
+        ticks = Repeated("autopilot-tick", self._tick, self._o.command_period_s)
+        return (Repeated("autopilot-read", self._read_waiting), ticks) if self.links.waits else (ticks,)
+
+    def _read_waiting(self) -> float:
+        """Handle what has waited long enough; return the time until the next look, s."""
+        now = self._clock.now()
+        timed = self._timed_at is not None and seconds_between(self._timed_at, now) < _TIMED_FOR_S
+        most_s = _TIMED_S if timed else _UNREQUESTED_S
+        if (waits_s := most_s - seconds_between(self._taken_at, now)) > 0.0:
+            return waits_s
+        self._take_waiting()
+        return most_s
+
     async def _read(self) -> None:
-        while self.links.waits:
-            now = self._clock.now()
-            timed = self._timed_at is not None and seconds_between(self._timed_at, now) < _TIMED_FOR_S
-            most_s = _TIMED_S if timed else _UNREQUESTED_S
-            if (waits_s := most_s - seconds_between(self._taken_at, now)) <= 0.0:
-                self._take_waiting()
-            await self._clock.sleep(waits_s if waits_s > 0.0 else most_s)
         async for received in self.links.received:
             self._handle(received)
 
@@ -536,20 +545,20 @@ class Autopilot:
         known.parameters.request(self._wanted_of(known.identity.stack))
         self._version = VersionRequest()
 
-    async def _tick(self) -> None:
-        now = self._clock.now()
-        while True:
-            await self._clock.sleep(self._o.command_period_s)
-            self._take_waiting()
-            before, known, now = now, self._known, self._clock.now()
-            self._judge(now)
-            if known is not None:
-                # What came while this process stood still is not read yet: that is no silence of the autopilot.
-                self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
-            elif self._knocked is None or seconds_between(self._knocked, now) >= _PROBE_S:
-                # A listening peer does not know this program's address before it has received something.
-                self._knocked = now
-                self.links.send(TimeSyncV2(0, now))
+    def _tick(self) -> float:
+        """Do what is due; return the time until the next tick, s."""
+        self._take_waiting()
+        before, known, now = self._ticked_at, self._known, self._clock.now()
+        self._ticked_at = now
+        self._judge(now)
+        if known is not None:
+            # What came while this process stood still is not read yet: that is no silence of the autopilot.
+            self._period(known, now, listened=seconds_between(before, now) < 0.5 * self._o.silence_s)
+        elif self._knocked is None or seconds_between(self._knocked, now) >= _PROBE_S:
+            # A listening peer does not know this program's address before it has received something.
+            self._knocked = now
+            self.links.send(TimeSyncV2(0, now))
+        return self._o.command_period_s
 
     def _judge(self, now: MonoNs) -> None:
         """Judge who is who."""
@@ -610,6 +619,15 @@ class Autopilot:
         self.samples.fail(closed)
 
 
+def links_of(
+    options: AutopilotOptions, clock: Clock, links: Sequence[LinkOptions], *, waits: bool, made_of: type[Link] = Link
+) -> Links:
+    """Return the links to an autopilot, which nobody keeps open yet; the arguments are those of `open_autopilot` and `Links`."""
+    identity = (options.system_id or 1, options.component_id)
+    access = NamedSenders(options.named_operators(), frozenset({options.vessel_id} - {0}))
+    return Links(links, clock, identity, access, waits=waits, made_of=made_of)
+
+
 @asynccontextmanager
 async def open_autopilot(
     options: AutopilotOptions,
@@ -635,11 +653,10 @@ async def open_autopilot(
     """
     if links is None:
         links = tuple(LinkOptions(endpoint, limits=options) for endpoint in options.endpoints())
-    identity = (options.system_id or 1, options.component_id)
-    access = NamedSenders(options.named_operators(), frozenset({options.vessel_id} - {0}))
-    async with open_links(links, clock, identity, access=access, waits=waits) as opened:
+    async with kept_open(links_of(options, clock, links, waits=waits), links) as opened:
         autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items, authority)
-        async with running_beside([("autopilot-read", autopilot._read()), ("autopilot-tick", autopilot._tick())]):
+        reading = [] if waits else [("autopilot-read", autopilot._read())]
+        async with running_beside([*reading, *((one.name, one.run(clock)) for one in autopilot.work)]):
             try:
                 yield autopilot
             finally:

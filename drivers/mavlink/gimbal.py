@@ -16,7 +16,7 @@ from drivers.mavlink.gimbal_reports import DEVICE_STATUS, MOUNT_ORIENTATION, MOU
 from drivers.mavlink.links import ReceivedMessage
 from drivers.mavlink.options import GimbalOptions
 from drivers.mavlink.requests import Streams, is_for
-from drivers.reconnect import running_beside
+from drivers.reconnect import Repeated, running_beside
 from estimator.contracts.samples import GimbalAttitude
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
@@ -150,27 +150,31 @@ class Gimbal:
 
 @asynccontextmanager
 async def tending(gimbal: Gimbal | None, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
-    """Run the gimbal on the links of an autopilot: its samples are offered among the autopilot's. Without one do nothing."""
+    """Run the gimbal on the links of an autopilot (`tended`). Without one do nothing."""
     if gimbal is None:
         yield
         return
+    async with running_beside([("mavlink-gimbal", tended(gimbal, autopilot, clock).run(clock))]):
+        yield
+
+
+def tended(gimbal: Gimbal, autopilot: Autopilot, clock: Clock) -> Repeated:
+    """Join a gimbal to the links of an autopilot, among whose samples its own are offered; return the work that is left to do."""
 
     def on_message(received: ReceivedMessage) -> None:
         sample = gimbal.on_message(autopilot, received)
         if sample is not None:
             autopilot.samples.offer(sample)
 
-    def step() -> None:
+    def send() -> None:
         if autopilot.unclear is not None:
             return  # a command would reach whoever has the gimbal's ids
         for message in gimbal.due(autopilot, clock.now()):
             autopilot.send(message)
 
-    async def tick() -> None:
-        while True:
-            autopilot.links.contained.run("the gimbal's tick", "us", step)
-            await clock.sleep(_TICK_S)
+    def tick() -> float:
+        autopilot.links.contained.run("the gimbal's tick", "us", send)
+        return _TICK_S
 
     autopilot.add_listener(on_message)
-    async with running_beside([("mavlink-gimbal", tick())]):
-        yield
+    return Repeated("mavlink-gimbal", tick)

@@ -202,16 +202,24 @@ class Link:
     def send(self, message: Message, component: int | None = None, only: Source | None = None) -> bool:
         """Send a message to every peer of this link, or to one; return whether it was sent to any."""
         went = False
-        if self._wire is not None:
-            self._forget_silent()
-            for address, peer in self._peers.items():
-                if only is not None and only[1] != address:
-                    continue
-                pack = partial(self._pack, peer.codec, message, component)
-                name = message.get_type()
-                went |= self._wire.send(pack, address, name if name in _NEWEST_ONLY else "")
+        self._forget_silent()
+        for address, peer in self._peers.items():
+            if only is None or only[1] == address:
+                went |= self._transmit(peer.codec, address, message, component)
         self.counters.dropped += not went
         return went
+
+    def _transmit(self, codec: Codec, address: Address | None, message: Message, component: int | None) -> bool:
+        """Send a message to one peer; return whether it was sent."""
+        if self._wire is None:
+            return False
+        name, pack = message.get_type(), partial(self._pack, codec, message, component)
+        return self._wire.send(pack, address, name if name in _NEWEST_ONLY else "")
+
+    def forward(self, message: Message) -> None:
+        """Pass on another sender's message as it is."""
+        if self._wire is not None:
+            self._wire.send(partial(bytes, message.get_msgbuf()), None)
 
     def _pack(self, codec: Codec, message: Message, component: int | None) -> bytes:
         """Return the bytes of a message that goes now; empty if a value of it does not fit the wire."""
@@ -338,14 +346,25 @@ Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
 
 
 class Links:
-    """All links. See `open_links`."""
+    """All links. See `open_links`.
+
+    Args:
+        made_of: class of each link; another one than `Link` carries messages in a simulation.
+    """
 
     def __init__(
-        self, options: Sequence[LinkOptions], clock: Clock, identity: tuple[int, int], access: NamedSenders, waits: bool
+        self,
+        options: Sequence[LinkOptions],
+        clock: Clock,
+        identity: tuple[int, int],
+        access: NamedSenders | None = None,
+        *,
+        waits: bool = False,
+        made_of: type[Link] = Link,
     ) -> None:
         self.waits = waits
         """True if datagrams wait in their sockets for a reader that takes them often."""
-        self.access = Access(access)
+        self.access = Access(access or NamedSenders())
         self._clock = clock
         self._sent: dict[tuple[int, int], MonoNs] = {}
         """Time when a message of each number and sequence number was last sent."""
@@ -361,7 +380,7 @@ class Links:
         self.received: Line[ReceivedMessage] = Line(_RECEIVED_MOST)
         self.opened = [0 for _ in options]
         """Number of times that each link was opened; it grows when the link comes back."""
-        self.all = tuple(Link(number, one, self, clock) for number, one in enumerate(options))
+        self.all = tuple(made_of(number, one, self, clock) for number, one in enumerate(options))
 
     def notify_tap(
         self, at: MonoNs, endpoint: Endpoint, way: Literal["in", "out"], data: bytes | bytearray, message: Message
@@ -442,7 +461,13 @@ async def open_links(
         access: who is known before anything is received; nobody where it is None.
         waits: let datagrams wait until `Links.waiting`; otherwise they are processed when they arrive.
     """
-    links = Links(options, clock, identity, access or NamedSenders(), waits)
+    async with kept_open(Links(options, clock, identity, access, waits=waits), options) as links:
+        yield links
+
+
+@asynccontextmanager
+async def kept_open(links: Links, options: Sequence[LinkOptions]) -> AsyncIterator[Links]:
+    """Open links that were made of these options, and keep them open; see `open_links`."""
     async with running_beside([(f"mavlink-{link.endpoint}", link.reconnect()) for link in links.all]):
         try:
             yield links

@@ -66,7 +66,7 @@ class LightSettings(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GimbalSettings(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """A gimbal; only the stand-in for an autopilot program has one (`simulate --autopilot ... --binary stand-in`)."""
+    """A gimbal; only an autopilot in miniature has one (`simulate --autopilot ...`)."""
 
     device_id: Annotated[
         int, number("its component id, or 1 to 6 for one that the autopilot itself drives; 0 for a fixed camera", "id", 0, 255)

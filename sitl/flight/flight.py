@@ -15,12 +15,9 @@ import cv2
 import numpy as np
 from msgspec import Struct, structs
 
-from companion.base.containment import Audience
 from companion.base.health import Health
 from companion.base.mission import FLOWN
-from companion.base.observer import Observer
-from companion.cycle.cycle import ATTITUDE_WAIT_S, Begun, Cycle
-from companion.cycle.pace import FramePace
+from companion.base.observer import Decision, Observer
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings, ardrone_options
@@ -33,9 +30,8 @@ from drivers.ardrone.setup import configuration_commands
 from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.samples import Attitude, Baro, BodyVelocity, Frame, Imu, Range, Sample
+from estimator.contracts.samples import Frame
 from estimator.contracts.time import NS_PER_S, MonoNs, after, seconds_between
-from estimator.vision.detection import Detection
 from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.state import GENERATIONS, refusal
 from sitl.ardrone.uvlc import ArrivingFrames, synced
@@ -47,6 +43,7 @@ from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
 from sitl.flight.hands import BY_REMOTE
 from sitl.flight.person import SimulatedPerson
+from sitl.flight.service import VISION_S, SimulatedService
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, camera_model
@@ -58,8 +55,6 @@ from sitl.world.world import World
 NAVDATA_DELAY_S = 0.004
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
-_QUICK = frozenset({Imu, Attitude, BodyVelocity, Range, Baro})
-"""Samples that end no flight: what is made of them is first looked at with the next frame or in the next guidance cycle."""
 _WATCH_EACH = 10
 """Number of ticks between two checks of the truth for the grade: 50 ms."""
 
@@ -71,7 +66,7 @@ class Timing(Struct, frozen=True):
     """None: as the drone is configured (`video:codec_fps`)."""
     frame_delay_s: float = 0.09
     """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
-    vision_s: float = 0.01
+    vision_s: float = VISION_S
     """Time that vision takes for a frame."""
     overtime_s: float = 0.0
     """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
@@ -123,8 +118,7 @@ class Flight:
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
-        self._core_fraction = settings.vision.core_fraction
-        self._timing = timing or Timing()
+        self._settings, self._timing = settings, timing or Timing()
         self._limit_s = scenario.duration_limit_s
         self._options = ardrone_options(settings)
         self._arbiter = CommandArbiter(self._options.hold_s, self._options.vz_max_m_s)
@@ -141,15 +135,10 @@ class Flight:
         self._frames_under_way: InTransit[Callable[[], RenderedFrame]] = InTransit(streams.frames)
         self._navdata_under_way: InTransit[tuple[Navdata, MonoNs]] = InTransit(streams.navdata)
         self._commands_under_way: InTransit[bytes] = InTransit(streams.commands)
-        self._looking: tuple[MonoNs, Begun, Detection] | None = None
-        self._lacking: tuple[MonoNs, Frame] | None = None
-        """A frame for whose samples is waited, and until when."""
-        self._due_guidance = self._due_frame = self._due_command = start
+        self._due_frame = self._due_command = start
         self._gone, self._phase = False, self.world.phase
         self.health = Health(self._clock)
         self.watched = True
-        """False if nobody reads what the health says of samples: without observers either, their results are not asked for."""
-        self._waiting: list[Sample] = []
         self._begin_service(pilot)
         self._drone = Drone(self.world, DroneClock(start), generation=self._generation)
         for key, commands in configuration_commands(self._options):
@@ -157,10 +146,18 @@ class Flight:
                 self._drone.take(self._encoded(command), start)
             if refused := refusal(self._drone.state.counters):
                 raise SetupImpossible(f"the simulated drone refused the configuration key {key}: {refused}")
-        self._guidance_period_s = 1.0 / settings.guidance.rate_hz
         self._frames = 0
         self.exposures = 0
         """Number of frames exposed so far, whether they arrive or not."""
+
+    @property
+    def pilot(self) -> Pilot:
+        """The service's."""
+        return self._service.pilot
+
+    def unwatched(self) -> None:
+        """Let nobody read what the health says of samples: without observers either, their results are not asked for."""
+        self.watched = self._service.watched = False
 
     def step(self) -> bool:
         """Run one tick of 5 ms; return False when the flight is over."""
@@ -170,7 +167,7 @@ class Flight:
         if self._gone:
             ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
             return not ended and seconds_between(self.world.started, now) < self._limit_s
-        if self._pilot.outcome is not None:
+        if self.pilot.outcome is not None:
             return False
         left_s = self._limit_s - seconds_between(self.world.started, now)
         return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
@@ -182,7 +179,8 @@ class Flight:
         observers received is that of the outcome.
         """
         world, later, going = self.world, Afterwards(self._grader, self.result()), True
-        self._observers, self._cycle.audience = (), Audience((), self.health)
+        self._observers = ()
+        self._service.unobserved()
         while going and seconds_between(world.at, later.ends) >= TICK_S:
             if later.flies:
                 going = self._tick() is not None
@@ -221,8 +219,8 @@ class Flight:
 
     def _tries(self, now: MonoNs) -> bool:
         """Return whether guidance commands and is trying to land, so that an outcome will come."""
-        situation = self._pilot.operator.situation(now)
-        return self._pilot.state in FLOWN and situation in (ControlSituation.GUIDED, ControlSituation.LANDING)
+        situation = self.pilot.operator.situation(now)
+        return self.pilot.state in FLOWN and situation in (ControlSituation.GUIDED, ControlSituation.LANDING)
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""
@@ -232,16 +230,13 @@ class Flight:
             samples = self._sampler.samples(navdata, synced(measured_at, received_at))
             for sample in samples:
                 self._streamer.on_sample(sample)
-            self._take(samples)
+            self._service.take(samples)
         if reports := self._reporter.reports(now):
-            self._take(reports)
+            self._service.take(reports)
             if (located := self._reporter.located) is not None:
                 self._grader.referee.sight.located(located)
         self._film(now)
-        self._process(now)
-        if now >= self._due_guidance:
-            self._due_guidance = after(self._due_guidance, self._guidance_period_s)
-            self._decide(now)
+        self._service.step(now, self._act, lambda command: self._streamer.take(command, now))
         if now >= self._due_command:
             self._due_command = after(self._due_command, self._options.command_period_s)
             self._arbiter.take(self._streamer.command(now))
@@ -250,7 +245,7 @@ class Flight:
     def _killed(self) -> bool:
         """Return whether the service's process is gone; after a restart it is a new process."""
         if self.world.faults.active("service_killed"):
-            self._catch_up()
+            self._service.catch_up()
             if not self._gone:
                 # What the sender sends from here on is no answer of the service to an order.
                 self.world.guidance_phase = None
@@ -262,7 +257,7 @@ class Flight:
         if self._gone:
             self._gone = False
             self._send(self._options.timeouts(self._options.com_watchdog_s))
-            before, after_it = self._pilot.landing.memory, self._renew()
+            before, after_it = self.pilot.landing.memory, self._renew()
             after_it.landing.before = before
             self._begin_service(after_it)
         return False
@@ -277,17 +272,14 @@ class Flight:
 
     def _begin_service(self, pilot: Pilot) -> None:
         """Reset the state of the service's process to that of a new process."""
-        now = self._clock.t
-        self._pilot = pilot
-        audience = Audience(self._observers, self.health, guarded=False)
-        self._cycle = Cycle(pilot, self.health, audience, FramePace(self._core_fraction, pilot.camera, self.health))
+        self._service = SimulatedService(self._settings, pilot, self.health, self._observers, self._clock, self._timing.vision_s)
+        self._service.watched = self.watched
+        self._service.arrived, self._service.judged, self._service.decided = self._arrived, self._judge, self._decided
         self._streamer = CommandStreamer(self._options)
         self._sampler = NavdataSampler(self._options)
-        self._due_guidance = self._due_frame = self._due_command = now
+        self._due_frame = self._due_command = self._clock.t
         self._navdata_order = NavdataOrder()
         self._frames_under_way.clear()
-        self._looking = self._lacking = None
-        self._waiting = []
 
     def _encoded(self, command: at.AtCommand) -> bytes:
         self._sequence += 1
@@ -312,20 +304,6 @@ class Flight:
     def _datagram(self) -> tuple[Navdata, MonoNs]:
         return self._drone.navdata(), self._drone.measured_at
 
-    def _take(self, samples: Sequence[Sample]) -> None:
-        if not self.watched and not self._observers:
-            self._waiting += samples
-            if not _QUICK.issuperset(map(type, samples)):
-                self._catch_up()
-            return
-        self._cycle.samples(samples, self._clock.t)
-
-    def _catch_up(self) -> None:
-        """Give the pilot the samples that wait for the next look at what it makes of them: together they cost less."""
-        if self._waiting:
-            waiting, self._waiting = self._waiting, []
-            self._cycle.samples(waiting, self._clock.t, wanted=False)
-
     def _film(self, now: MonoNs) -> None:
         if now < self._due_frame:
             return
@@ -348,73 +326,25 @@ class Flight:
         self.exposures += 1
         return self._perception.expose(self.world, self.worker)
 
-    def _process(self, now: MonoNs) -> None:
-        self._finish(now)
-        if self._lacking is None and self._looking is None:
-            self._receive(now)
-        if self._lacking is None:
-            return
-        self._catch_up()
-        until, frame = self._lacking
-        if now < until and self._cycle.awaits(frame.stamp, now):
-            return
-        self._lacking = None
-        begun = self._cycle.begin(frame, now)
-        if begun.look is None:
-            self._conclude(begun, None, now)
-            return
-        self._looking = after(now, self._timing.vision_s), begun, self._pilot.detect(begun.look)
-        self._finish(now)
-
-    def _finish(self, now: MonoNs) -> None:
-        """Conclude the frame that is being looked at, once vision has taken its time."""
-        if self._looking is None or now < self._looking[0]:
-            return
-        self._catch_up()
-        _, begun, seen = self._looking
-        self._looking = None
-        self._conclude(begun, seen, now)
-
-    def _receive(self, now: MonoNs) -> None:
-        """Take the newest frame that has arrived."""
-        arrived: Frame | None = None
+    def _arrived(self, now: MonoNs) -> Iterator[Frame]:
+        """Give the frames that have arrived, oldest first."""
         while (packet := self._frames_under_way.arrived(now)) is not None:
-            if arrived is not None:
-                self._cycle.judged(Verdict.REPLACED)
-                self._judge(arrived.seq, Verdict.REPLACED)
             received_at, exposed = packet
             image = exposed()
             self._frames += 1
             self._views[self._frames] = structs.replace(image, px=_NO_PIXELS)
-            arrived = self._arriving.frame(self._frames, image, received_at)
-        if arrived is None:
-            return
-        if self._cycle.admits(now):
-            self._lacking = after(now, ATTITUDE_WAIT_S), arrived
-        else:
-            self._judge(arrived.seq, Verdict.SKIPPED)
-
-    def _conclude(self, begun: Begun, seen: Detection | None, now: MonoNs) -> None:
-        processed = structs.replace(self._cycle.conclude(begun, seen), done=now)
-        self._judge(processed.frame.seq, processed.verdict)
-        self._cycle.report(processed)
-        if begun.look is not None:
-            self._cycle.pace.looked(begun.at, seconds_between(begun.at, now))
-        if processed.detection is not None and self._cycle.reads_deck:
-            self._cycle.on_deck(self._pilot.search.read_deck(processed.detection))
+            yield self._arriving.frame(self._frames, image, received_at)
 
     def _judge(self, seq: int, verdict: Verdict) -> None:
         self._grader.on_verdict(self._views.pop(seq), verdict)
 
-    def _decide(self, now: MonoNs) -> None:
-        self._catch_up()
-        self._person.act(self._pilot.operator, now)
-        decision = self._cycle.decide(now)
+    def _act(self, now: MonoNs) -> None:
+        self._person.act(self.pilot.operator, now)
+
+    def _decided(self, decision: Decision) -> None:
         self._grader.on_decision(decision)
         self.world.guidance_phase = decision.phase
-        self._cycle.carry_out(decision, lambda command: self._streamer.take(command, now))
-        self._cycle.pace.cycle(now, 0.0)
 
     def result(self) -> Ending:
         """Return the result of the flight: final if it has ended, else the result so far."""
-        return self._grader.result(self._pilot.outcome, self._pilot.operator.situation(self._clock.t), self.health)
+        return self._grader.result(self.pilot.outcome, self.pilot.operator.situation(self._clock.t), self.health)

@@ -166,8 +166,10 @@ def fly(
     timing = Timing(overtime_s=options.overtime_s)
     began_s, pilot = cpu_s(), renew()
     flight = Flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
-    flight.contained, flight.watched = True, options.on_start is not None
-    if options.on_start is not None:
+    flight.contained = True
+    if options.on_start is None:
+        flight.unwatched()
+    else:
         options.on_start(flight.health)
     if options.on_pilot is not None:
         options.on_pilot(pilot)

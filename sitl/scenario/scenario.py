@@ -461,7 +461,7 @@ def refuse_gimbal(scenario: Scenario) -> None:
         BadInput: the scenario's camera hangs on a gimbal.
     """
     if scenario.gimbal.given:
-        raise BadInput("gimbal: an AR.Drone has none; fly it with simulate --autopilot arducopter --binary stand-in")
+        raise BadInput("gimbal: an AR.Drone has none; fly it with simulate --autopilot arducopter")
 
 
 def pad_model(scenario: Scenario) -> Pad:

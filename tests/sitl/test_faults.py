@@ -216,9 +216,9 @@ def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None
     assert max(s.stamp.received_at for s in processed.samples) < 510_000_000
     assert not flight._drone.state.silent, "its sender is another process and holds the drone"
     assert flight.world.phase is VehiclePhase.HOVERING
-    first = flight._pilot
+    first = flight.pilot
     again, processed = fly_calm(kinds.ServiceKilled(at_s=0.5, for_s=0.5), 1.2)
-    assert again._pilot is not first
+    assert again.pilot is not first
     received_at = np.array([s.stamp.received_at for s in processed.samples]) / 1e9
     assert np.diff(received_at).max() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(BadInput, match="service_killed comes back after for_s"):
@@ -227,7 +227,7 @@ def test_a_killed_service_does_nothing_and_a_new_one_remembers_nothing() -> None
 
 def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     flight, _ = fly_calm(kinds.LensCovered(at_s=0.0), 0.2)
-    pilot = flight._pilot
+    pilot = flight.pilot
 
     def gives_up(now: MonoNs) -> Decision:
         pilot.landing.mission = replace(pilot.landing.mission, state=State.GAVE_UP)
@@ -450,7 +450,7 @@ def test_what_acts_without_a_rendered_frame_acts_there_too() -> None:
     heights = []
     for faults in ((), (kinds.FocalLength(at_s=0.0, scale=1.1),)):
         flight = fly_for(1.6, CALM, level="model", faults=faults)
-        belief = flight._pilot.estimator.at(flight._clock.t)
+        belief = flight.pilot.estimator.at(flight._clock.t)
         heights.append(belief.height_m / float(flight.world.truth().d_body_pad_level[2]))
     assert heights[1] / heights[0] == pytest.approx(1.0 / 1.1, rel=0.03)
 

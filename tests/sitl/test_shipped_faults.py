@@ -82,9 +82,9 @@ def test_a_shipped_fault_acts_and_not_before_it_begins(name: str) -> None:
 )
 def test_a_person_takes_over_and_gives_back(fault: OperatorActs, situation: ControlSituation) -> None:
     flight = fly_for(1.2, CALM, level="truth", faults=(fault,))
-    assert flight._pilot.operator.situation(flight._clock.t) is situation
+    assert flight.pilot.operator.situation(flight._clock.t) is situation
     early = fly_for(0.45, CALM, level="truth", faults=(fault,))
-    assert early._pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
+    assert early.pilot.operator.situation(early._clock.t) is ControlSituation.GUIDED
 
 
 def test_sticks_of_a_person_fly_the_drone() -> None:

@@ -32,13 +32,13 @@ from estimator.contracts.commands import Land, Velocity
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.emulators.autopilots import arducopter, px4
-from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, serve_json
-from sitl.emulators.autopilots.arducopter import STEP_S as COPTER_STEP_S
 from sitl.emulators.autopilots.body import Body, view_of
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.program import reserved_port, running
-from sitl.emulators.autopilots.px4 import HilBackend, serve_hil
+from sitl.emulators.autopilots.programs import arducopter, px4
+from sitl.emulators.autopilots.programs.arducopter import CURVE, JsonBackend, serve_json
+from sitl.emulators.autopilots.programs.arducopter import STEP_S as COPTER_STEP_S
+from sitl.emulators.autopilots.programs.program import reserved_port, running
+from sitl.emulators.autopilots.programs.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.stand_in import base as in_process
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import ExitStack, asynccontextmanager
 from typing import Protocol
 
-from sitl.emulators.autopilots.program import reserved_port
+from sitl.emulators.autopilots.programs.program import reserved_port
 
 PATIENCE_S = 60.0
 """Time limit for anything that a healthy program does at some time: a machine under load is slow, and no test asks how slow."""

@@ -39,7 +39,7 @@ from drivers.mavlink.access import AccessLevel
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.dialect import ComponentInformationBasic, ComponentMetadata, Message, mav, ms_since_boot
 from drivers.mavlink.links import Links, ReceivedMessage
-from drivers.reconnect import running_beside
+from drivers.reconnect import Repeated, running_beside
 from estimator.contracts.estimates import RelativeState, Verdict
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
@@ -295,7 +295,7 @@ class Component(NullObserver):
         self._health = health
         self._reported: dict[str, MonoNs] = {}
         self._believe = believe
-        self._clock = clock
+        self._clock, self._tick_due = clock, clock.now()
         self._autopilot: Autopilot | None = None
         self._links: Links | None = None
         self._computer = ComputerReader()
@@ -335,7 +335,7 @@ class Component(NullObserver):
 
     def attach(self, autopilot: Autopilot) -> None:
         """Send over this autopilot's links from now on."""
-        self._autopilot, self._links = autopilot, autopilot.links
+        self._autopilot, self._links, self._tick_due = autopilot, autopilot.links, self._clock.now()
         autopilot.add_listener(self.on_message)
 
     def detach(self) -> None:
@@ -415,6 +415,18 @@ class Component(NullObserver):
                 self._links.send(message, received.source)
 
     # Messages that the component sends
+
+    @property
+    def work(self) -> Repeated:
+        """Its work while it is attached."""
+        return Repeated("mavlink-component", self._tick)
+
+    def _tick(self) -> float:
+        """Send what is due; return the time until the next tick, s."""
+        self.tick(self._clock.now())
+        now = self._clock.now()
+        self._tick_due = max(after(self._tick_due, _FINE_TICK_S if self.sends_often else _TICK_S), now)
+        return seconds_between(now, self._tick_due)
 
     def tick(self, now: MonoNs) -> None:
         """Send everything that is due. A bug in one message is contained, and the others are still sent."""
@@ -531,16 +543,8 @@ _VALUES = ("dl_seen", "dl_age", "dl_sigma", "dl_height", "dl_lateral")
 @asynccontextmanager
 async def speaking(component: Component, autopilot: Autopilot, clock: Clock) -> AsyncIterator[None]:
     """Run the component on the links of an autopilot."""
-
-    async def tick() -> None:
-        due = clock.now()
-        while True:
-            component.tick(clock.now())
-            due = max(after(due, _FINE_TICK_S if component.sends_often else _TICK_S), clock.now())
-            await clock.sleep(seconds_between(clock.now(), due))
-
     component.attach(autopilot)
-    async with running_beside([("mavlink-component", tick())]):
+    async with running_beside([("mavlink-component", component.work.run(clock))]):
         try:
             yield
         finally:

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import NoReturn, Protocol
+from typing import Protocol
 
 import numpy as np
 from msgspec import structs
@@ -19,7 +19,7 @@ from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.camera_component import ShowCamera, showing
 from companion.parts.mavlink.commands import PilotTower, link_counters
-from companion.parts.mavlink.component import PARAMETERS, Component, speaking
+from companion.parts.mavlink.component import PARAMETERS, Component
 from companion.parts.mavlink.handover import Handover
 from companion.parts.mavlink.outputs import Lead, Outputs
 from companion.parts.mavlink.parameters import tunables
@@ -32,14 +32,14 @@ from companion.tools.doctor.gather import Notes, snapshot_of
 from companion.tools.doctor.rules_links import WATCHED
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.clock import SystemClock
-from drivers.mavlink.autopilot import Autopilot, open_autopilot
+from drivers.mavlink.autopilot import Autopilot, links_of, open_autopilot
 from drivers.mavlink.custody import Authority
-from drivers.mavlink.gimbal import Gimbal, tending
-from drivers.mavlink.links import Links, Tap
+from drivers.mavlink.gimbal import Gimbal, tended
+from drivers.mavlink.links import Link, Links, Tap
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.take_off import Rested
-from drivers.reconnect import running_beside
+from drivers.reconnect import Repeated, running_beside
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64, Rotation
@@ -273,27 +273,37 @@ class AutopilotPart:
             authority=self._authority,
         )
         async with opening as autopilot:
-            self._links, autopilot.links.tap = autopilot.links, self._tap
-            for watcher in self._watchers:
-                autopilot.add_listener(partial(watcher.on_message, autopilot))
-            by = self._pilot.landing
-            autopilot.deck_velocity = DeckVelocity(
-                self._pilot.belief,
-                autopilot,
-                lambda at: by.vessel_track.velocity_ned(at),
-                lambda: not self._pilot.velocity_refused,
-            )
-            async with (
-                speaking(self.component, autopilot, self._clock),
-                showing(self._show, autopilot, self._clock),
-                tending(self._gimbal, autopilot, self._clock),
-                running_beside([("link-watch", LinkWatch(autopilot, self._options.system_id, self._health, self._clock).run())]),
-            ):
-                self._open = autopilot
+            work = [(one.name, one.run(self._clock)) for one in self._join(autopilot)]
+            async with showing(self._show, autopilot, self._clock), running_beside(work):
                 try:
                     yield autopilot
                 finally:
                     self._open = None
+                    self.component.detach()
+                    self._watch.close()
+
+    def joined(self, made_of: type[Link]) -> tuple[Autopilot, tuple[Repeated, ...]]:
+        """Return the autopilot at links that carry messages in a simulation, and all the work that is left to do there."""
+        links = links_of(self._options, self._clock, self._endpoints, waits=True, made_of=made_of)
+        autopilot = Autopilot(self._options, links, self._clock, PARAMETERS, self._sample_queue_items, self._authority)
+        return autopilot, (*autopilot.work, *self._join(autopilot))
+
+    def _join(self, autopilot: Autopilot) -> tuple[Repeated, ...]:
+        """Join everything to an autopilot's links; return the work that is left to do beside the autopilot's own."""
+        self._open, self._links, autopilot.links.tap = autopilot, autopilot.links, self._tap
+        for watcher in self._watchers:
+            autopilot.add_listener(partial(watcher.on_message, autopilot))
+        by = self._pilot.landing
+        autopilot.deck_velocity = DeckVelocity(
+            self._pilot.belief,
+            autopilot,
+            lambda at: by.vessel_track.velocity_ned(at),
+            lambda: not self._pilot.velocity_refused,
+        )
+        self.component.attach(autopilot)
+        gimbal = () if self._gimbal is None else (tended(self._gimbal, autopilot, self._clock),)
+        self._watch = LinkWatch(autopilot, self._options.system_id, self._health, self._clock)
+        return self.component.work, *gimbal, self._watch.work
 
     def _lead(self, guidance: GuidanceOptions) -> Lead | None:
         if guidance.mission != "targets":
@@ -327,7 +337,7 @@ _COUNTED = tuple(name for name in LinkSnapshot.__struct_fields__ if name not in 
 
 
 class LinkWatch:
-    """Judges the links of an open autopilot once a second.
+    """Judges the links of an open autopilot once a second, until it is closed.
 
     Args:
         wanted: the system id that the settings request; 0 for any.
@@ -340,18 +350,23 @@ class LinkWatch:
         self._before: deque[tuple[MonoNs, tuple[LinkSnapshot, ...]]] = deque()
         self._found: dict[str, Finding] = {}
         self._logged: dict[str, MonoNs] = {}
+        autopilot.add_listener(self._notes.on_message)
 
-    async def run(self) -> NoReturn:
-        """Watch until cancelled."""
-        self._autopilot.add_listener(self._notes.on_message)
-        try:
-            while True:
-                await self._clock.sleep(_EACH_S)
-                self._autopilot.links.contained.run("the watch of the links", "us", self._look)
-        finally:
-            self._autopilot.remove_listener(self._notes.on_message)
-            if self._found:
-                self._health.up(PART)
+    @property
+    def work(self) -> Repeated:
+        """Its work while the links are open."""
+        return Repeated("link-watch", self._step, _EACH_S)
+
+    def close(self) -> None:
+        """Listen no more, and leave nothing in health that only an open link could clear."""
+        self._autopilot.remove_listener(self._notes.on_message)
+        if self._found:
+            self._health.up(PART)
+
+    def _step(self) -> float:
+        """Look at the links; return the time until the next look, s."""
+        self._autopilot.links.contained.run("the watch of the links", "us", self._look)
+        return _EACH_S
 
     def _look(self) -> None:
         now = self._clock.now()

@@ -35,14 +35,9 @@ class FlightDaemon:
         self.pilot = pilot
         self._parts = vehicle_parts(settings, pilot, health, clock)
         self._opened: list[VehicleLink] = []
-        options, observers = settings.camera.exposure, (*self._parts.observers, *observers)
-        self.exposure = ExposureDrive(options.settle_frames) if options.driven else None
+        self.exposure, exposing = exposure_beside(settings, pilot, health)
         """The exposure that the daemon drives; None where the camera does."""
-        if self.exposure is not None:
-            part = ExposurePart(options, pilot)
-            part.attach(self.exposure)
-            health.counters("exposure", part.counted)
-            observers = (*observers, part)
+        observers = (*self._parts.observers, *observers, *exposing)
         self.daemon = Daemon(
             self._open,
             pilot,
@@ -92,6 +87,25 @@ class FlightDaemon:
         return self.daemon.looking
 
 
+def exposure_beside(settings: Settings, pilot: Pilot, health: Health) -> tuple[ExposureDrive | None, tuple[Observer, ...]]:
+    """Return the exposure that the service drives, and the observers that do; nothing where the camera exposes by itself."""
+    options = settings.camera.exposure
+    if not options.driven:
+        return None, ()
+    drive, part = ExposureDrive(options.settle_frames), ExposurePart(options, pilot)
+    part.attach(drive)
+    health.counters("exposure", part.counted)
+    return drive, (part,)
+
+
+def autopilot_at(settings: Settings, links: str) -> AutopilotOptions:
+    """Return the options of an autopilot at these links, by settings that were read for one."""
+    vehicle = settings.vehicle
+    if isinstance(vehicle, AutopilotOptions):
+        return msgspec.structs.replace(vehicle, links=links, signing_key_file="")
+    return AutopilotOptions(links=links)
+
+
 def beside_autopilot(
     settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal", response: str | None = None
 ) -> Settings:
@@ -101,17 +115,12 @@ def beside_autopilot(
         settings: read for an autopilot (`load` with `by_autopilot`).
         response: the shipped response of this stack, where the settings leave it to the vehicle; None for an autopilot's.
     """
-    vehicle = settings.vehicle
-    if isinstance(vehicle, AutopilotOptions):
-        vehicle = msgspec.structs.replace(vehicle, links=links, signing_key_file="")
-    else:
-        vehicle = AutopilotOptions(links=links)
     follow = settings.guidance.follow_deck
     if response is not None and follow.response_by_vehicle:
         follow = msgspec.structs.replace(follow, response=response)
     return msgspec.structs.replace(
         settings,
-        vehicle=vehicle,
+        vehicle=autopilot_at(settings, links),
         camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal, exposure=settings.camera.exposure),
         guidance=msgspec.structs.replace(settings.guidance, start=start, follow_deck=follow),
     )
@@ -134,6 +143,16 @@ class KillableService:
         """True if it was killed and no new one runs."""
         self._task: asyncio.Task[object] | None = None
         self._offered = self._before = self._unheard = 0
+
+    @property
+    def pilot(self) -> Pilot:
+        """The newest daemon's."""
+        return self.now.pilot
+
+    @property
+    def health(self) -> Health:
+        """The newest daemon's."""
+        return self.now.daemon.health
 
     def ended(self, ordered: bool) -> bool:
         """Return whether the newest daemon ended its flight by itself.

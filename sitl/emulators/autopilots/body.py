@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 import numpy as np
 from msgspec import Struct, field
 
-from estimator.contracts.geometry import F64, Rotation, wrap_pi
+from estimator.contracts.geometry import F64, Rotation, known_rotation, wrap_pi
 from estimator.contracts.time import MonoNs, after
 from sitl.emulators.autopilots.station import OperatorView
 from sitl.faults.faulty_streams import FlightFaults
@@ -67,6 +67,7 @@ class Body(World):
         stands: bool = False,
     ) -> None:
         self.step_s, self._motors = step_s, MotorDrive(step_s, curve)
+        self._state: tuple[int, BodyState] | None = None
         super().__init__(scenario, seed, start, self._motors, faults, stands=stands)
 
     def step(self, motors: Motors) -> None:
@@ -84,9 +85,12 @@ class Body(World):
 
     def state(self) -> BodyState:
         """Return the body's state at the newest step."""
-        v = self.vehicle
-        rotation = Rotation(v.R_ned_body)
-        return BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range_m(rotation), self.battery)
+        if self._state is None or self._state[0] != self._tick:
+            v = self.vehicle
+            rotation = known_rotation(v.R_ned_body)
+            state = BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range_m(rotation), self.battery)
+            self._state = self._tick, state
+        return self._state[1]
 
     @property
     def height_m(self) -> float:

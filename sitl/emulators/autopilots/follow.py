@@ -41,7 +41,7 @@ from sitl.camera.camera import Exposure
 from sitl.core.library import SIM
 from sitl.emulators.autopilots.beside import FlightDaemon, beside_autopilot
 from sitl.emulators.autopilots.body import Body, Settle
-from sitl.emulators.autopilots.program import Program
+from sitl.emulators.autopilots.programs.program import Program
 from sitl.faults.faulty_streams import FlightFaults
 from sitl.scenario.scenario import Scenario, pad_model
 from sitl.sensors.sensors import ORIGIN
@@ -405,7 +405,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
         BadInput: the URL is not valid, or the scenario's camera hangs on a gimbal.
     """
     if scenario.gimbal.given:
-        raise BadInput("gimbal: only the stand-in for an autopilot (--autopilot, --binary stand-in) has a simulated one")
+        raise BadInput("gimbal: only an autopilot in miniature (--autopilot) has a simulated one")
     cv2.setNumThreads(1)
     clock = SystemClock()
     settings = beside_autopilot(settings, url, start=settings.guidance.start)

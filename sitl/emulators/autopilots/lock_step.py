@@ -12,10 +12,12 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Executor
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from msgspec import Struct
 
+from drivers.mavlink.codec import Codec
+from drivers.mavlink.dialect import Message
 from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import Clock, MonoNs, Stamp, after
@@ -23,7 +25,8 @@ from sitl.emulators.autopilots.body import Body
 from sitl.faults.faulty_streams import FaultyStream, InTransit, VehicleStreams
 from sitl.world.truth import RenderedFrame
 
-_START = MonoNs(1_000_000_000_000)
+START = MonoNs(1_000_000_000_000)
+"""First instant of a flight; it is not zero, so that it differs from the autopilot's time since boot."""
 _ROUNDS = 4
 """Passes of the event loop after a step, enough for a message to go from socket to link to reader to part."""
 
@@ -32,10 +35,10 @@ class LockStepClock:
     """A `Clock` that stands still until it is advanced.
 
     Args:
-        start: its first instant; it is not zero, so that it differs from the autopilot's time since boot.
+        start: its first instant.
     """
 
-    def __init__(self, start: MonoNs = _START) -> None:
+    def __init__(self, start: MonoNs = START) -> None:
         self.started = self._now = start
         self._sleepers: list[tuple[int, int, asyncio.Future[None]]] = []
         self._order = itertools.count()
@@ -63,7 +66,8 @@ class LockStepClock:
             await asyncio.sleep(0)
 
 
-_STAMP_SIGMA_S = 0.002
+STAMP_SIGMA_S = 0.002
+"""Standard deviation of a frame's stamp, s."""
 _NAP_S = 0.0005
 _TURNS = 40
 """Turns of the event loop after which a service that has a frame and does not look at it waits for the time to go on."""
@@ -141,7 +145,7 @@ class LockStepCamera:
             self.frames += 1
             self.shown(self.frames, image)
             claimed_at = after(image.exposed_at, image.stamp_error_s)
-            stamp = Stamp(claimed_at, max(claimed_at, now), _STAMP_SIGMA_S, "sim")
+            stamp = Stamp(claimed_at, max(claimed_at, now), STAMP_SIGMA_S, "sim")
             self._offer(Frame(stamp, self.frames, image.px, image.exposure_s, image.gain))
             self._looking_until = after(now, self._timing.vision_s)
         if self._looking_until is None or now < self._looking_until:
@@ -163,44 +167,48 @@ class LockStepCamera:
 _Address = tuple[str, int]
 
 
-class FaultyLink:
-    """The datagrams under way in both directions.
+_Packet = TypeVar("_Packet")
+
+
+class FaultyLink(Generic[_Packet]):
+    """The packets under way in both directions: datagrams, or messages where nothing reads bytes.
 
     Args:
         streams: what becomes of the vehicle's samples and of the service's commands.
-        sent: receives each datagram that the service sends.
-        arrived: receives each datagram that reaches the service.
-        changed: returns a datagram of the vehicle as it leaves it.
+        sent: receives each packet that the service sends.
+        arrived: receives each packet that reaches the service.
+        changed: returns a packet of the vehicle as it leaves it.
     """
 
     def __init__(
         self,
         streams: VehicleStreams,
         clock: Clock,
-        sent: Callable[[bytes], None] = lambda data: None,
-        arrived: Callable[[bytes], None] = lambda data: None,
-        changed: Callable[[bytes], bytes] = lambda data: data,
+        sent: Callable[[_Packet], None],
+        arrived: Callable[[_Packet], None],
+        changed: Callable[[_Packet], _Packet],
     ) -> None:
         self._clock, self._sent, self._arrived, self._changed = clock, sent, arrived, changed
-        self._samples: InTransit[bytes] = InTransit(streams.navdata)
-        self._commands: InTransit[bytes] = InTransit(streams.commands)
-        self._to_daemon: Callable[[bytes], None] | None = None
-        self._to_program: Callable[[bytes], None] | None = None
+        self._samples: InTransit[_Packet] = InTransit(streams.navdata)
+        self._commands: InTransit[_Packet] = InTransit(streams.commands)
+        self.to_daemon: Callable[[_Packet], None] | None = None
+        """Takes what arrives at the service; None while nothing does. Likewise for the vehicle."""
+        self.to_program: Callable[[_Packet], None] | None = None
         self.cut = False
         """True while no service is there: messages under way are lost."""
         self.muted = False
         """True while nothing of the daemon's passes, although it receives the program."""
-        self.ahead_s: Callable[[bytes], float] = lambda data: 0.0
-        """Returns how far the program was ahead of the flight when it sent a datagram, s: it arrives that much later."""
+        self.ahead_s: Callable[[_Packet], float] = lambda packet: 0.0
+        """Returns how far the program was ahead of the flight when it sent a packet, s: it arrives that much later."""
         self.carried: Counter[str] = Counter()
-        """Datagrams that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
+        """Packets that came in and that went on: "samples in", "samples out", "commands in", "commands out"."""
 
     def deliver(self) -> None:
         """Hand on what has arrived by now; call it after each step of the physics."""
         now = self._clock.now()
         for name, stream, send in (
-            ("samples out", self._samples, self._to_daemon),
-            ("commands out", self._commands, self._to_program),
+            ("samples out", self._samples, self.to_daemon),
+            ("commands out", self._commands, self.to_program),
         ):
             while send is not None and (packet := stream.arrived(now)) is not None:
                 if not self.cut:
@@ -209,21 +217,51 @@ class FaultyLink:
                         self._arrived(packet[1])
                     send(packet[1])
 
-    def from_program(self, data: bytes) -> None:
-        """Take a datagram of the program."""
+    def from_program(self, packet: _Packet) -> None:
+        """Take a packet of the program."""
         self.carried["samples in"] += 1
-        ahead_s, reported = self.ahead_s(data), self._changed(data)
+        ahead_s, reported = self.ahead_s(packet), self._changed(packet)
         self._samples.send(lambda: reported, self._clock.now(), ahead_s)
         self.deliver()
 
-    def from_daemon(self, data: bytes) -> None:
-        """Take a datagram of the daemon."""
+    def from_daemon(self, packet: _Packet) -> None:
+        """Take a packet of the daemon."""
         if self.cut or self.muted:
             return
         self.carried["commands in"] += 1
-        self._sent(data)
-        self._commands.send(lambda: data, self._clock.now())
+        self._sent(packet)
+        self._commands.send(lambda: packet, self._clock.now())
         self.deliver()
+
+
+class FaultyRelay(FaultyLink[bytes]):
+    """A relay of datagrams between an autopilot program and the daemon.
+
+    Args:
+        streams: what becomes of the vehicle's samples and of the service's commands.
+        sent: receives each message that the service sends.
+        arrived: receives each message that reaches the service.
+        changed: returns a datagram of the vehicle as it leaves it.
+    """
+
+    def __init__(
+        self,
+        streams: VehicleStreams,
+        clock: Clock,
+        sent: Callable[[Message], None] = lambda message: None,
+        arrived: Callable[[Message], None] = lambda message: None,
+        changed: Callable[[bytes], bytes] = lambda data: data,
+    ) -> None:
+        def reader(on_message: Callable[[Message], None]) -> Callable[[bytes], None]:
+            codec = Codec(0, 0, datagrams=True)
+
+            def read(data: bytes) -> None:
+                for message in codec.feed(data):
+                    on_message(message)
+
+            return read
+
+        super().__init__(streams, clock, reader(sent), reader(arrived), changed)
 
     @asynccontextmanager
     async def relaying(self, host: str, program_port: int, daemon_port: int) -> AsyncIterator[None]:
@@ -244,11 +282,11 @@ class FaultyLink:
                 lambda: _End(self.from_daemon), local_addr=(host, 0), remote_addr=(host, daemon_port)
             )
             try:
-                self._to_daemon = far.sendto
-                self._to_program = lambda data: None if program.peer is None else near.sendto(data, program.peer)
+                self.to_daemon = far.sendto
+                self.to_program = lambda data: None if program.peer is None else near.sendto(data, program.peer)
                 yield
             finally:
-                self._to_daemon = self._to_program = None
+                self.to_daemon = self.to_program = None
                 far.close()
         finally:
             near.close()

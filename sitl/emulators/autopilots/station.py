@@ -119,7 +119,7 @@ class GroundStation:
             self.mode = mode_name(self.stack, message.custom_mode)
             self.armed = bool(message.base_mode & ARMED)
             if self.task is Task.MEET:
-                self._next(Task.ARM, now)
+                self._next(Task.GO if self.armed else Task.ARM, now)
             elif self.task is Task.ARM and self.armed:
                 self._next(Task.TAKE_OFF, now)
             elif self.task is Task.ORDER and self._lands_by and self.mode == self._lands_by:

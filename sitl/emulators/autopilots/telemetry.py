@@ -3,6 +3,7 @@
 The autopilot itself goes on with the right ones, as a vehicle's own loops do behind the sockets of an AR.Drone.
 """
 
+import copy
 import math
 from collections.abc import Callable, Mapping
 
@@ -43,13 +44,20 @@ class CorruptedTelemetry:
         """Return a datagram with the corruption of its signals."""
         if not self._any:
             return data
-        return b"".join(self._corrupted(message) for message in self._codec.feed(data))
+        return b"".join(self._packed(message) for message in self._codec.feed(data))
 
-    def _corrupted(self, m: Message) -> bytes:
-        change = self._handlers.get(m.get_type())
-        if change is None:
+    def corrupted(self, m: Message) -> Message:
+        """Return a message with the corruption of its signals, and leave the given one as it is."""
+        change = self._handlers.get(m.get_type()) if self._any else None
+        if change is not None:
+            m = copy.copy(m)
+            change(m)
+        return m
+
+    def _packed(self, m: Message) -> bytes:
+        if self._handlers.get(m.get_type()) is None:
             return bytes(m.get_msgbuf())
-        change(m)
+        m = self.corrupted(m)
         self._packer.srcSystem, self._packer.srcComponent = m.get_srcSystem(), m.get_srcComponent()
         self._packer.seq = m.get_seq()
         return bytes(m.pack(self._packer))

@@ -12,7 +12,6 @@ from companion.base.orders import CENTRED, HandledOrder
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from drivers.mavlink import vehicle as mavlink
-from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 from sitl.emulators.autopilots.body import Body
@@ -37,10 +36,9 @@ _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 
 
 class MavlinkWires:
-    """Reads the datagrams between a service and its autopilot. Call both ways in order of time."""
+    """Reads the messages between a service and its autopilot. Call both ways in order of time."""
 
     def __init__(self) -> None:
-        self._out, self._in = (Codec(0, 0, datagrams=True) for _ in range(2))
         self._stack = mavlink.Stack.OTHER
         self._mode, self._armed, self._critical = "", False, False
         self._requested: dict[str, MonoNs] = {}
@@ -50,33 +48,32 @@ class MavlinkWires:
         self._ended = False
         """True while PX4 is in the mode to which it left OFFBOARD by itself: that failsafe is the end of our own stream."""
 
-    def to_vehicle(self, data: bytes, at: MonoNs) -> list[SentPacket]:
-        """Return what a datagram of the service asks."""
-        asked = [self._asked(message, at) for message in self._out.feed(data)]
-        return [SentPacket(at, asks) for asks in asked if asks is not None]
+    def to_vehicle(self, message: Message, at: MonoNs) -> SentPacket | None:
+        """Return what a message of the service asks; None where it asks nothing."""
+        asks = self._asked(message, at)
+        return None if asks is None else SentPacket(at, asks)
 
-    def from_vehicle(self, data: bytes, at: MonoNs) -> str | None:
-        """Return the act of a person, or of a failsafe, that a datagram shows: a mode, or disarming, that was not requested."""
+    def from_vehicle(self, m: Message, at: MonoNs) -> str | None:
+        """Return the act of a person, or of a failsafe, that a message shows: a mode, or disarming, that was not requested."""
+        if m.get_type() != "HEARTBEAT" or not mavlink.is_autopilot(m, m.get_srcComponent()):
+            return None
         act = None
-        for m in self._in.feed(data):
-            if m.get_type() != "HEARTBEAT" or not mavlink.is_autopilot(m, m.get_srcComponent()):
-                continue
-            self._stack = mavlink.stack_of(m)
-            mode, armed = mavlink.mode_name(self._stack, m.custom_mode), bool(m.base_mode & mavlink.ARMED)
-            # It leaves OFFBOARD and comes back with our stream.
-            ends = self._ends(mode, at) or (self._ended and mode == mavlink.VELOCITY_MODE[mavlink.Stack.PX4])
-            self._ended = (ends or self._ended) and mode in (self._mode, mavlink.HOLD_MODE[mavlink.Stack.PX4])
-            if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
-                act = "disarm"
-            elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not ends:
-                act = "landing mode" if mode in _LANDS else "mode"
-            critical = m.system_status >= mav.MAV_STATE_CRITICAL
-            if act is None and armed and critical and not self._critical and not self._ended:
-                # Its mode may be the one that the service has requested before.
-                act = "landing mode" if mode in _LANDS else "mode"
-            if mode != self._mode:
-                self._requested.pop(mode, None)
-            self._mode, self._armed, self._critical = mode, armed, critical
+        self._stack = mavlink.stack_of(m)
+        mode, armed = mavlink.mode_name(self._stack, m.custom_mode), bool(m.base_mode & mavlink.ARMED)
+        # It leaves OFFBOARD and comes back with our stream.
+        ends = self._ends(mode, at) or (self._ended and mode == mavlink.VELOCITY_MODE[mavlink.Stack.PX4])
+        self._ended = (ends or self._ended) and mode in (self._mode, mavlink.HOLD_MODE[mavlink.Stack.PX4])
+        if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
+            act = "disarm"
+        elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not ends:
+            act = "landing mode" if mode in _LANDS else "mode"
+        critical = m.system_status >= mav.MAV_STATE_CRITICAL
+        if act is None and armed and critical and not self._critical and not self._ended:
+            # Its mode may be the one that the service has requested before.
+            act = "landing mode" if mode in _LANDS else "mode"
+        if mode != self._mode:
+            self._requested.pop(mode, None)
+        self._mode, self._armed, self._critical = mode, armed, critical
         return act
 
     def _ends(self, mode: str, at: MonoNs) -> bool:
@@ -175,16 +172,16 @@ class FlightWatch(NullObserver):
         """Distance from the pad's centre over the ground below 2 m, in the descent and the gate: root mean square, m."""
         return math.sqrt(self._beside_m2 / self._followed) if self._followed else None
 
-    def on_sent(self, data: bytes) -> None:
-        """Note a datagram that the service sent."""
-        for packet in self._wires.to_vehicle(data, self._clock.now()):
-            if self.grader is not None:
-                self.grader.referee.hands.sent(packet)
+    def on_sent(self, message: Message) -> None:
+        """Note a message that the service sent."""
+        packet = self._wires.to_vehicle(message, self._clock.now())
+        if self.grader is not None and packet is not None:
+            self.grader.referee.hands.sent(packet)
 
-    def on_arrived(self, data: bytes) -> None:
-        """Note a datagram that reached the service: an act that shows before commands reach the vehicle is its failsafe's."""
+    def on_arrived(self, message: Message) -> None:
+        """Note a message that reached the service: an act that shows before commands reach the vehicle is its failsafe's."""
         now = self._clock.now()
-        act = self._wires.from_vehicle(data, now)
+        act = self._wires.from_vehicle(message, now)
         if self.grader is None or act is None or not self.grader.world.reached:
             return
         if act != "disarm" or self.grader.world.over_deck_m - self.grader.feet.below_m > ON_DECK_M:

@@ -15,8 +15,8 @@ from companion.tools.doctor.gather_outside import examine_log
 from companion.tools.doctor.rules_values import RULES, ValueRule
 from companion.tools.doctor.snapshot import LinkSnapshot, ServiceSnapshot, Snapshot
 from estimator.contracts.time import Clock
-from sitl.emulators.autopilots import arducopter
 from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.programs import arducopter
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from tests.companion.doctor.test_rules import ARDUPILOT, BROKEN, GOOD, PLANE, PX4

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from sitl.emulators.autopilots import arducopter, px4
-from sitl.emulators.autopilots.program import Program, running
+from sitl.emulators.autopilots.programs import arducopter, px4
+from sitl.emulators.autopilots.programs.program import Program, running
 from tests.companion.doctor.test_set_ups import DATA
 from tests.support.waiting import free_port
 

@@ -286,9 +286,11 @@ async def watch_links(monkeypatch: pytest.MonkeyPatch, *, signed: bool = False) 
     links = (LinkOptions(parse_endpoint(options.links), signing),)
     async with open_autopilot(options, clock, links) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)
-        async with running_beside([("watch", LinkWatch(autopilot, 0, health, clock).run())]):
+        watch = LinkWatch(autopilot, 0, health, clock)
+        async with running_beside([("watch", watch.work.run(clock))]):
             assert autopilot.links.all[0].local is not None
             yield health, autopilot.links.all[0].local
+        watch.close()
 
 
 def heartbeat_of(three_days_ago: bool) -> Callable[[], bytes]:

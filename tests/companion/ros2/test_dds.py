@@ -103,7 +103,7 @@ async def test_a_ros_program_sees_the_flight_and_its_orders_are_obeyed_or_refuse
     tf, poses = peer.reads("rt/tf", "TFMessage"), peer.reads("rt/decklander/dead_reckoning/pad_pose", "PoseWithCovarianceStamped")
     health, replies = peer.reads("rt/diagnostics", "DiagnosticArray"), peer.reads("rr/decklander/abortReply", "Trigger_Response")
     async with serve_live() as service, asyncio.TaskGroup() as group:
-        pilot = service.flight._pilot
+        pilot = service.flight.pilot
         with patch.object(SystemClock, "now", lambda self: service.flight.world.now):
             terminals = OperatorSocket(socket_path(load("sim")), pilot, SystemClock())
             tasks = [group.create_task(terminals.run()), group.create_task(service.fly(1e6))]

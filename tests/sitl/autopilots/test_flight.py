@@ -23,8 +23,8 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from sitl.emulators.autopilots import px4
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
+from sitl.emulators.autopilots.programs import px4
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
@@ -138,8 +138,7 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "needs --binary PATH"),
-        (["--binary", "stand-in", "--physics", "own"], "simulates no vehicle by itself"),
+        (["--physics", "own"], "go with --binary PATH, a program"),
         (["--binary", __file__], "is no program that can be run"),
         (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: the name of a recording must end in .mcap"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),
@@ -231,7 +230,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     )
     async with asyncio.timeout(380), asyncio.TaskGroup() as group:
         standin = group.create_task(pretend(flight))
-        end = await flight.fly()
+        end = await flight.flown()
         await standin
     assert end.failure == ""
     assert end.ending.outcome is FlightOutcome.LANDED
@@ -253,7 +252,7 @@ async def test_a_real_program_is_landed_on_the_pad_of_a_ship_under_way(tmp_path:
     flight = AutopilotFlight(
         scenario, 21, settings_for(scenario, None, by_autopilot=True), autopilot, tmp_path, perception=perceive("pixels")
     )
-    end = await flight.fly()
+    end = await flight.flown()
     assert end.failure == ""
     assert end.ending.outcome is FlightOutcome.LANDED
     assert end.ending.contact.on_pad

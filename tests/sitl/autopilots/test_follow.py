@@ -22,7 +22,7 @@ from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import Stamp
 from sitl.emulators.autopilots.follow import AutopilotPose, DeckUnder, PoseSource, follow
-from sitl.emulators.autopilots.lock_step import FaultyLink
+from sitl.emulators.autopilots.lock_step import FaultyRelay
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
@@ -170,7 +170,7 @@ class Linked:
 
     fake: MiniatureAutopilot
     driver: Autopilot
-    link: FaultyLink
+    link: FaultyRelay
     timer: FaultTimer
     samples: list[Sample]
 
@@ -185,7 +185,7 @@ class Linked:
 
 async def test_a_port_that_another_flight_has_is_named_in_one_line() -> None:
     clock, port = PatientClock(), free_port()
-    link = FaultyLink(VehicleStreams(FaultTimer((), 1), 1), clock)
+    link = FaultyRelay(VehicleStreams(FaultTimer((), 1), 1), clock)
     async with link.relaying(HOST, port, free_port()):
         with pytest.raises(SetupImpossible, match=f"sends to {HOST}:{port}, which is taken: another flight"):
             await link.relaying(HOST, port, free_port()).__aenter__()
@@ -195,7 +195,7 @@ async def test_a_port_that_another_flight_has_is_named_in_one_line() -> None:
 async def linked(*faults: StreamFault | LinkLost) -> AsyncIterator[Linked]:
     clock, relay_port, port = PatientClock(), free_port(), free_port()
     timer = FaultTimer(faults, 1)
-    link = FaultyLink(VehicleStreams(timer, 1), clock)
+    link = FaultyRelay(VehicleStreams(timer, 1), clock)
     fake = MiniatureAutopilot(clock=clock)
     samples: list[Sample] = []
     async with (

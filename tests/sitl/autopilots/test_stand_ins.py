@@ -23,9 +23,9 @@ from estimator.contracts.errors import SetupImpossible
 from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
-from sitl.emulators.autopilots.arducopter import CURVE, JsonBackend, decode
 from sitl.emulators.autopilots.body import Body, BodyState
-from sitl.emulators.autopilots.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
+from sitl.emulators.autopilots.programs.arducopter import CURVE, JsonBackend, decode
+from sitl.emulators.autopilots.programs.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn

@@ -17,7 +17,7 @@ from estimator.contracts.samples import Frame
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.lock_step import CameraTiming, LockStepCamera, LockStepClock
-from sitl.emulators.autopilots.program import reserved_port, running
+from sitl.emulators.autopilots.programs.program import reserved_port, running
 from sitl.emulators.autopilots.station import GroundStation, OperatorView, Task
 from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
@@ -280,7 +280,7 @@ def script(folder: Path, body: str) -> Path:
 
 
 async def test_a_stubborn_program_and_its_children_are_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sitl.emulators.autopilots.program._END_S", 0.2)
+    monkeypatch.setattr("sitl.emulators.autopilots.programs.program._END_S", 0.2)
     binary = script(tmp_path, "trap '' TERM\nsleep 60 &\necho $$ $! > ids\nwhile :; do sleep 1; done")
     async with asyncio.timeout(60), running([str(binary)], tmp_path):
         await until(lambda: (tmp_path / "ids").exists() and (tmp_path / "ids").read_text().endswith("\n"))
@@ -299,7 +299,7 @@ async def test_a_program_that_ends_is_reported_with_its_reason(tmp_path: Path) -
 def test_a_reserved_port_is_nobody_elses_until_it_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     with reserved_port() as port:
         assert port < int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0]), "or the system hands it out"
-        monkeypatch.setattr("sitl.emulators.autopilots.program._PORTS", range(port, port + 1))
+        monkeypatch.setattr("sitl.emulators.autopilots.programs.program._PORTS", range(port, port + 1))
         with pytest.raises(Recoverable, match=f"each port from {port} to {port}"), reserved_port():
             pass
     with reserved_port() as again:

@@ -15,9 +15,9 @@ from drivers.mavlink.vehicle import Stack
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
-from sitl.emulators.autopilots import arducopter
-from sitl.emulators.autopilots.arducopter import CURVE
 from sitl.emulators.autopilots.body import BodyState
+from sitl.emulators.autopilots.programs import arducopter
+from sitl.emulators.autopilots.programs.arducopter import CURVE
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
 from sitl.vehicle.airframe import ardrone2
@@ -158,6 +158,12 @@ class CopterStandIn(StandIn):
         moving = bool(int(self.parameter("PLND_OPTIONS")) & 1)
         velocity = velocity + (0.3 * share / dt) * (seen - carried) if moving else np.zeros(3)
         self._target = (self.now_s, carried + share * (seen - carried), velocity)
+
+    def begin_in_air(self, s: BodyState) -> None:
+        """Begin as it flies by setpoints of the velocity that it has."""
+        super().begin_in_air(s)
+        self._v_wanted, self._wanted_s = s.v_ned, self.now_s
+        self._v_shaped = s.v_ned.copy()
 
     def goes_to(self, p_ned: F64) -> None:
         """Fly to a place in GUIDED until another setpoint comes."""

@@ -16,7 +16,6 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +27,7 @@ from drivers.mavlink.dialect import Event, Message, TimeSyncV2, mav
 from drivers.mavlink.failsafe import event_id
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, open_links
 from drivers.mavlink.options import LinkLimits
-from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, Stack, custom_mode, mode_name
+from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, VELOCITY_MODE, Stack, custom_mode, mode_name
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.camera.gimbal import SimulatedGimbal
@@ -196,7 +195,17 @@ class MiniatureAutopilot:
         self.links: Links | None = None
         self._next: dict[int, float] = {}
         self._samples = 0
-        self._at = self.now_s
+        self._at, self._beat_at = self.now_s, 0.0
+        self._makers: dict[int, Callable[[float, int], Message | None]] = {
+            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude,
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._landed,
+            mav.MAVLINK_MSG_ID_SYS_STATUS: self._status,
+            mav.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
+            mav.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
+            mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance,
+        }
 
     def of(self, kind: str) -> list[Any]:
         """Messages of one kind that were received."""
@@ -334,60 +343,77 @@ class MiniatureAutopilot:
             self.v_ned = np.array([m.vx, m.vy, m.vz])
 
     def _streams(self, t: float) -> list[Message]:
+        """Return the messages of the requested streams that are due."""
         self._samples += 1
         # No reading of a true sensor repeats for long: the least digits of IMU, attitude and velocity never stand still.
         least = self._samples % 7 - 3
-        roll, pitch, yaw = self.rpy(t)
-        q = Rotation.from_rpy(roll + 1e-6 * least, pitch, yaw).quat_wxyz
-        makers: dict[int, Callable[[], Message]] = {
-            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: lambda: mav.MAVLink_attitude_quaternion_message(
-                self.boot_ms, *q, 0.0, 0.0, 0.0
-            ),
-            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: lambda: mav.MAVLink_local_position_ned_message(
-                self.boot_ms, *self.p_ned, *(self.v_ned + 1e-7 * least)
-            ),
-            mav.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: lambda: global_position(self.boot_ms, self.p_world_ned, self.v_ned),
-            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: lambda: mav.MAVLink_extended_sys_state_message(0, self.landed_state),
-            mav.MAVLINK_MSG_ID_SYS_STATUS: lambda: mav.MAVLink_sys_status_message(
-                0, 0, 0, 0, 12000, -1, round(100 * self.charge), 0, 0, 0, 0, 0, 0
-            ),
-            mav.MAVLINK_MSG_ID_RAW_IMU: lambda: mav.MAVLink_raw_imu_message(
-                self.boot_ns // 1000, *self._f_mg(least), *(w + least for w in self.gyro_mrad_s), 0, 0, 0
-            ),
-            mav.MAVLINK_MSG_ID_HIGHRES_IMU: lambda: mav.MAVLink_highres_imu_message(
-                *(self.boot_ns // 1000, *self.f_body[:2], self.f_body[2] + 1e-3 * least),
-                *(1e-3 * (w + least) for w in self.gyro_mrad_s),
-                *(0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF),
-            ),
-        }
-        if self.distance_cm is not None:
-            makers[mav.MAVLINK_MSG_ID_DISTANCE_SENSOR] = lambda: mav.MAVLink_distance_sensor_message(
-                self.boot_ms, 5, 5000, self.distance_cm, 0, 0, 25, 0
-            )
         out = []
-        for number, maker in makers.items():
-            interval = self.intervals.get(number)
-            if interval and t >= self._next.get(number, -math.inf):
-                self._next[number] = max(t, self._next.get(number, t) + interval)
-                out.append(maker())
+        for number, interval in self.intervals.items():
+            maker = self._makers.get(number)
+            if maker is None or not interval or t < self._next.get(number, -math.inf):
+                continue
+            self._next[number] = max(t, self._next.get(number, t) + interval)
+            if (message := maker(t, least)) is not None:
+                out.append(message)
         return out
+
+    def _attitude(self, t: float, least: int) -> Message:
+        roll, pitch, yaw = self.rpy(t)
+        q = Rotation.from_rpy(roll + 1e-6 * least, pitch, yaw).quat_wxyz.tolist()
+        return mav.MAVLink_attitude_quaternion_message(self.boot_ms, *q, 0.0, 0.0, 0.0)
+
+    def _local_position(self, t: float, least: int) -> Message:
+        v = [v + 1e-7 * least for v in self.v_ned.tolist()]
+        return mav.MAVLink_local_position_ned_message(self.boot_ms, *self.p_ned.tolist(), *v)
+
+    def _global_position(self, t: float, least: int) -> Message:
+        return global_position(self.boot_ms, self.p_world_ned, self.v_ned)
+
+    def _landed(self, t: float, least: int) -> Message:
+        return mav.MAVLink_extended_sys_state_message(0, self.landed_state)
+
+    def _status(self, t: float, least: int) -> Message:
+        return mav.MAVLink_sys_status_message(0, 0, 0, 0, 12000, -1, round(100 * self.charge), 0, 0, 0, 0, 0, 0)
+
+    def _raw_imu(self, t: float, least: int) -> Message | None:
+        gyro = (w + least for w in self.gyro_mrad_s)
+        return mav.MAVLink_raw_imu_message(self.boot_ns // 1000, *self._f_mg(least), *gyro, 0, 0, 0)
+
+    def _highres_imu(self, t: float, least: int) -> Message | None:
+        f = (*self.f_body[:2], self.f_body[2] + 1e-3 * least)
+        gyro = (1e-3 * (w + least) for w in self.gyro_mrad_s)
+        return mav.MAVLink_highres_imu_message(self.boot_ns // 1000, *f, *gyro, 0, 0, 0, 1000.0, 0, 0, 20.0, 0xFFFF)
+
+    def _distance(self, t: float, least: int) -> Message | None:
+        if self.distance_cm is None:
+            return None
+        return mav.MAVLink_distance_sensor_message(self.boot_ms, 5, 5000, self.distance_cm, 0, 0, 25, 0)
 
     def _f_mg(self, least: int) -> tuple[int, int, int]:
         forward, right, down = (round(1e3 * f / 9.8) for f in self.f_body)
         return forward, right, down + least
 
+    def report(self) -> None:
+        """Send what is due."""
+        now = self.now_s
+        dt, self._at = now - self._at, now
+        self.p_ned = self.p_ned + self.v_ned * dt
+        if now >= self._beat_at:
+            self._beat_at = now + self.intervals.get(mav.MAVLINK_MSG_ID_HEARTBEAT, self.beat_s)
+            self.send(self.heartbeat())
+        for message in self._streams(now):
+            self.send(message)
+
+    def read(self) -> None:
+        """Take the messages that wait at its links."""
+        if self.links is not None:
+            for received in self.links.received.waiting():
+                self._on_message(received)
+
     async def _live(self) -> None:
-        beat = 0.0
         while True:
             await self.clock.sleep(0.004)
-            now = self.now_s
-            dt, self._at = now - self._at, now
-            self.p_ned = self.p_ned + self.v_ned * dt
-            if now >= beat:
-                beat = now + self.intervals.get(mav.MAVLINK_MSG_ID_HEARTBEAT, self.beat_s)
-                self.send(self.heartbeat())
-            for message in self._streams(now):
-                self.send(message)
+            self.report()
 
     async def _read(self, links: Links) -> None:
         async for received in links.received:
@@ -416,9 +442,10 @@ FORCED = 21196.0
 ON_GROUND, IN_AIR = 1, 2
 """MAV_LANDED_STATE."""
 STILL: Motors = (0.0, 0.0, 0.0, 0.0)
+_OURS = (mav.MAVLINK_MSG_ID_RAW_IMU, mav.MAVLINK_MSG_ID_HIGHRES_IMU, mav.MAVLINK_MSG_ID_DISTANCE_SENSOR)
+"""Streams of a miniature that a stand-in sends by its own, as it is stepped, or not at all."""
 _CHUNK = 50
 """Characters in one STATUSTEXT."""
-_OURS = ("RAW_IMU", "HIGHRES_IMU", "DISTANCE_SENSOR")
 
 
 class StandIn(MiniatureAutopilot, ABC):
@@ -435,6 +462,8 @@ class StandIn(MiniatureAutopilot, ABC):
         """Failsafes that acted, oldest first."""
         self.refused: list[str] = []
         """Reasons for which arming was refused, oldest first."""
+        for number in _OURS:
+            del self._makers[number]
         self._origin: F64 | None = None
         self._began_s = self.now_s
         self._text_id = itertools.count(1)
@@ -471,6 +500,12 @@ class StandIn(MiniatureAutopilot, ABC):
         """Note the setpoint alone: the body's own velocity is what the streams report."""
         self.setpoints.append((self.now_s, m))
 
+    def begin_in_air(self, s: BodyState) -> None:
+        """Begin armed and in flight by setpoints, where a pilot has brought it; call it before the first step."""
+        self.state, self.armed, self.landed_state = s, True, IN_AIR
+        self.mode = VELOCITY_MODE[self.stack]
+        self.entered(self.mode)
+
     def acts_by_failsafe(self, takes: Literal["land", "hold"]) -> None:
         """Take a mode by a failsafe."""
         words, mode = _FAILSAFES[self.stack][takes], (LAND_MODE if takes == "land" else HOLD_MODE)[self.stack]
@@ -493,9 +528,7 @@ class StandIn(MiniatureAutopilot, ABC):
         assert self.links is not None
         m = received.message
         if getattr(m, "target_component", 0) != 1 and m.get_type() != "TIMESYNC" and len(self.links.all) > 1:
-            wire = self.links.all[1 - received.link]._wire
-            if wire is not None:
-                wire.send(partial(bytes, m.get_msgbuf()), None)
+            self.links.all[1 - received.link].forward(m)
         super()._on_message(received)
 
     def _on_command_long(self, m: Message, received: ReceivedMessage) -> None:
@@ -558,7 +591,7 @@ class StandIn(MiniatureAutopilot, ABC):
         s = self.state
         if s is None:
             return []
-        out = [m for m in super()._streams(t) if m.get_type() not in _OURS]
+        out = super()._streams(t)
         if t >= self._next.get(-1, 0.0):
             self._next[-1] = t + 0.01
             out.append(self.imu(s))

@@ -11,12 +11,14 @@ import numpy as np
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.links import ReceivedMessage
+from drivers.mavlink.setpoint import velocity_setpoint
 from drivers.mavlink.vehicle import Stack
+from estimator.contracts.commands import Velocity
 from estimator.contracts.geometry import F64, GeoPoint, ned_between
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import Clock
-from sitl.emulators.autopilots import px4
 from sitl.emulators.autopilots.body import BodyState
+from sitl.emulators.autopilots.programs import px4
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
 from sitl.sensors.sensors import ORIGIN
@@ -101,6 +103,13 @@ class Px4StandIn(StandIn):
         self._v_wanted[2] = min(max(m.vz, -limit[1]), limit[2])
         self._a_wanted = np.array([m.afx, m.afy, m.afz]) if m.type_mask == 0x0407 else np.zeros(3)
         self._yaw_rate = m.yaw_rate
+
+    def begin_in_air(self, s: BodyState) -> None:
+        """Begin as it flies by setpoints of the velocity that it has."""
+        super().begin_in_air(s)
+        self._v_wanted, self._lifted, self._armed_s = s.v_ned, True, self.now_s
+        setpoint = velocity_setpoint(self.boot_ms, (self.system, 1), Velocity(s.v_ned, 0.0), 0.0)
+        self.setpoints.append((self.now_s, setpoint))
 
     def goes_to(self, p_ned: F64) -> None:
         """Fly to a place in Hold and stay there."""

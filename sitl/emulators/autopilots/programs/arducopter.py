@@ -26,7 +26,7 @@ from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.motion import G_M_S2
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
 from sitl.emulators.autopilots.follow import OwnBody
-from sitl.emulators.autopilots.program import parameters_of
+from sitl.emulators.autopilots.programs.program import parameters_of
 from sitl.scenario.scenario import wind_of
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe

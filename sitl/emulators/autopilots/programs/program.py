@@ -62,14 +62,12 @@ class Program:
         raise Recoverable(f"the autopilot program ended with code {code}; its last line: {self.last_line} (see {GUIDE})")
 
 
-def executable(path: str | None, name: str) -> Path:
+def executable(path: str) -> Path:
     """Return the path of the program.
 
     Raises:
-        BadInput: no path is given, or the file cannot be executed.
+        BadInput: the file cannot be executed.
     """
-    if not path:
-        raise BadInput(f"--autopilot {name} needs --binary PATH, the program itself: {GUIDE} says which one and where from")
     found = Path(path).expanduser().absolute()
     if not found.is_file() or not os.access(found, os.X_OK):
         raise BadInput(f"--binary: {str(found)!r} is no program that can be run ({GUIDE} says what to point at)")

@@ -24,7 +24,7 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.geometry import GeoPoint, moved, pressure_of_height_pa
 from sitl.emulators.autopilots.body import Body, BodyState, Settle, at_once
-from sitl.emulators.autopilots.program import GUIDE, parameters_of
+from sitl.emulators.autopilots.programs.program import GUIDE, parameters_of
 from sitl.sensors.sensors import ORIGIN
 from sitl.world.drives import Motors
 

@@ -1,0 +1,1 @@
+"""Real autopilot programs: what starts them, and the physics that they step."""
