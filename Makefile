@@ -188,24 +188,26 @@ $(BIN)/pip: | $(BIN)/python
 
 # Pins every dependency again, by name, version and hash, for all platforms. Needs pip-tools (pipx install pip-tools).
 PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-extras --no-annotate --no-header --no-config --no-emit-options
+# The extras that every file of pins holds, as each is a package or two: images, the Debian package and `make` install them.
+SMALL := --extra mqtt --extra nmea --extra logs --extra pads
 pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt -o requirements/runtime.txt pyproject.toml
-	$(PIN) --constraint requirements/runtime.txt --extra video -o requirements/video.txt pyproject.toml
-	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt --extra ship -o requirements/ship.txt pyproject.toml
-	$(PIN) --constraint requirements/ship.txt --extra fleet -o requirements/fleet.txt pyproject.toml
-	$(PIN) --constraint requirements/fleet.txt --extra report -o requirements/report.txt pyproject.toml
-	$(PIN) --constraint requirements/report.txt --extra lab -o requirements/lab.txt pyproject.toml
-	$(PIN) --constraint requirements/lab.txt --extra ros2 -o requirements/ros2.txt pyproject.toml
-	$(PIN) --constraint requirements/lab.txt --extra compare -o requirements/compare.txt pyproject.toml
-	$(PIN) --constraint requirements/lab.txt --extra rl -o requirements/rl.txt pyproject.toml
-	$(PIN) --constraint requirements/lab.txt --extra witness -o requirements/witness.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt $(SMALL) -o requirements/runtime.txt pyproject.toml
+	$(PIN) --constraint requirements/runtime.txt $(SMALL) --extra video -o requirements/video.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/runtime.txt $(SMALL) --extra ship -o requirements/ship.txt pyproject.toml
+	$(PIN) --constraint requirements/ship.txt $(SMALL) --extra fleet -o requirements/fleet.txt pyproject.toml
+	$(PIN) --constraint requirements/fleet.txt $(SMALL) --extra report -o requirements/report.txt pyproject.toml
+	$(PIN) --constraint requirements/report.txt $(SMALL) --extra lab -o requirements/lab.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt $(SMALL) --extra ros2 -o requirements/ros2.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt $(SMALL) --extra compare -o requirements/compare.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt $(SMALL) --extra rl -o requirements/rl.txt pyproject.toml
+	$(PIN) --constraint requirements/lab.txt $(SMALL) --extra witness -o requirements/witness.txt pyproject.toml
 	awk 'NR == FNR { of_lab[$$1] = 1; next } /^[^ ]/ { added = !($$1 in of_lab) } added' requirements/lab.txt requirements/witness.txt > requirements/witness.new
 	mv requirements/witness.new requirements/witness.txt
 	$(PIN) -o requirements/rotorpy.new requirements/rotorpy.in
 	awk '/^[^ ]/ { own = /^rotorpy==/ } own' requirements/rotorpy.new > requirements/rotorpy.txt
 	rm requirements/rotorpy.new
-	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/ship.txt --constraint requirements/video.txt --extra video --extra report --extra lab --extra ros2 --extra compare --extra rl --extra fleet --extra ship --extra dev -o requirements/dev.txt pyproject.toml
+	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/ship.txt --constraint requirements/video.txt --extra all --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in

@@ -286,9 +286,10 @@ def contracts(tree: Tree) -> int:
 
 
 def lines_of_run(tree: Tree) -> int:
-    """Return the lines of Python that `decklander run` imports, in functions too."""
-    run = "companion.cli.run"
-    return sum(tree.lines_of[name] for name in reached(tree.imports, run) | {run})
+    """Return the lines of Python that `decklander run` with an autopilot imports, in functions and by the table of parts too."""
+    named = re.findall(r'"(companion[\w.]+):\w+"', tree.texts["companion/service/parts.py"])
+    starts = {"companion.cli.run", "companion.parts.mavlink.make", *named}
+    return sum(tree.lines_of[name] for name in starts.union(*(reached(tree.imports, start) for start in starts)))
 
 
 def guidance(tree: Tree) -> dict[str, dict[str, set[str]]]:

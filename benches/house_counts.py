@@ -14,12 +14,13 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
     FLIES: (
         "companion/base/", "companion/cycle/", "companion/facts/", "companion/guidance/", "companion/recording/",
         "companion/service/", "companion/settings/", "drivers/camera/", "drivers/clock", "drivers/confined.py",
-        "drivers/datagrams.py", "drivers/device_errors.py", "drivers/endpoint.py", "drivers/files.py", "drivers/mailbox.py",
-        "drivers/mavlink/", "drivers/one_source.py", "drivers/pyav.py", "drivers/reconnect.py", "drivers/wires.py", "estimator/",
+        "drivers/datagrams.py", "drivers/device_errors.py", "drivers/endpoint.py", "drivers/extras.py", "drivers/files.py",
+        "drivers/mailbox.py", "drivers/mavlink/", "drivers/one_source.py", "drivers/pyav.py", "drivers/reconnect.py",
+        "drivers/vehicle.py", "drivers/wires.py", "estimator/",
     ),
     "AR.Drone": (
-        "companion/parts/mavlink/bridge.py", "drivers/ardrone/", "estimator/core/video/", "estimator/uvlc.py", "sitl/ardrone/",
-        "sitl/core/video/", "sitl/emulators/ardrone/",
+        "companion/parts/ardrone/", "companion/parts/mavlink/bridge.py", "drivers/ardrone/", "estimator/core/video/",
+        "estimator/uvlc.py", "sitl/ardrone/", "sitl/core/video/", "sitl/emulators/ardrone/",
     ),
     "ship's wires": (
         "companion/parts/ship/", "companion/tools/replay/ship_sensors.py", "drivers/nmea/", "drivers/relpos.py",
@@ -27,11 +28,11 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
     ),
     "MQTT and watch": ("companion/cli/watch.py", "companion/parts/mqtt/"),
     "ROS 2": ("companion/cli/ros2.py", "companion/tools/ros2/", "drivers/camera/ros2.py", "drivers/ros2.py"),
-    "Foxglove": ("companion/parts/live/", "companion/recording/foxglove_protocol.py"),
-    "gamepad": ("companion/cli/gamepad.py", "companion/parts/operator/gamepad_part.py", "drivers/gamepad/"),
+    "Foxglove": ("companion/parts/live/",),
+    "gamepad": ("companion/cli/gamepad.py", "companion/parts/gamepad/", "drivers/gamepad/"),
     "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "sitl/perception/", "study/"),
     "pads from pictures, printing": ("companion/cli/pad.py", "companion/tools/pads/", "companion/tools/print_pad/"),
-    "imports of others' files": ("companion/cli/config_import.py", "drivers/imports/"),
+    "imports of others' files": ("companion/cli/config_import.py", "drivers/imports/", "drivers/log_stamps.py"),
     "learned parts": (
         "companion/cli/train.py", "companion/guidance/law/policy.py", "estimator/vision/learned/", "sitl/core/training/",
         "study/gym/",

@@ -3,7 +3,7 @@
 import asyncio
 import time
 
-from estimator.contracts.time import MonoNs
+from estimator.contracts.time import Clock, MonoNs
 
 
 class SystemClock:
@@ -14,6 +14,11 @@ class SystemClock:
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
+
+
+def wall_offset_ns(clock: Clock) -> int:
+    """Return the current offset from the clock's instants to Unix time, ns, in whole microseconds."""
+    return (time.time_ns() - clock.now()) // 1000 * 1000
 
 
 class SetClock:

@@ -7,8 +7,6 @@ serial:///dev/ttyAMA0:921600     a serial port and its speed
 """
 
 import re
-from collections.abc import Sequence
-from importlib.util import find_spec
 from typing import Literal, get_args
 
 from msgspec import Struct
@@ -106,19 +104,3 @@ def parse_bus(url: str) -> BusAddress:
     except BadInput:
         raise ValueError(f"bus must be {_BUS_HOW}, found {url!r}") from None
     return BusAddress(url, signalk=endpoint) if scheme == "signalk" else BusAddress(url, wire=endpoint)
-
-
-NMEA2000, RELPOS = ("nmea2000", "can"), ("pyubx2",)
-"""Modules of the extra `ship` that a network of NMEA 2000 needs, and that u-blox receivers do."""
-
-
-def require_ship(wanted: str, modules: Sequence[str]) -> None:
-    """Refuse what is wanted where modules of the extra `ship` are not installed.
-
-    Raises:
-        BadInput: they are not; the message says how to install them.
-    """
-    for module in modules:
-        if find_spec(module) is None:
-            name = {"can": "python-can"}.get(module, module)
-            raise BadInput(f"{wanted} needs {name}, which is not installed: install the extra decklander[ship]")

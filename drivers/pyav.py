@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from estimator.contracts.errors import BadInput
+from drivers.extras import is_installed, require
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
 
 def has_pyav() -> bool:
     """Return whether PyAV is installed."""
-    return find_spec("av") is not None
+    return is_installed("av")
 
 
 def require_pyav(wanted: str) -> None:
@@ -22,8 +21,7 @@ def require_pyav(wanted: str) -> None:
     Raises:
         BadInput: it is not; the message says how to install it.
     """
-    if not has_pyav():
-        raise BadInput(f"{wanted} needs PyAV, which is not installed: install the extra decklander[video]")
+    require(wanted, "video", "av")
 
 
 class AccessUnitDecoder:

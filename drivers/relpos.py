@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.endpoint import Address
-from estimator.contracts.errors import BadInput
+from drivers.extras import require
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Baseline, BaselineFix, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
@@ -71,11 +71,9 @@ class RelposReader:
     """
 
     def __init__(self, options: RelposOptions) -> None:
-        try:
-            self._parse: Any = importlib.import_module("pyubx2").UBXReader.parse
-            self._is_whole: Any = importlib.import_module("pyubx2.ubxhelpers").isvalid_checksum
-        except ImportError:
-            raise BadInput("[rtk] needs pyubx2, which is not installed: install the extra decklander[ship]") from None
+        require("[rtk]", "ship", "pyubx2")
+        self._parse: Any = importlib.import_module("pyubx2").UBXReader.parse
+        self._is_whole: Any = importlib.import_module("pyubx2.ubxhelpers").isvalid_checksum
         self._o = options
         self._clock = ClockMap(
             ClockMapOptions(

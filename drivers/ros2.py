@@ -10,9 +10,9 @@ import struct
 from collections import Counter
 from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any, NamedTuple
 
+from drivers.extras import require
 from estimator.contracts.errors import BadInput, Recoverable, refused
 
 MIDDLEWARES = ("auto", "rclpy", "dds")
@@ -38,16 +38,6 @@ _Take = Callable[[], list[tuple[bytes, int]]]
 """Takes messages, each with its sender's Unix time in ns."""
 
 
-def require_rosbags(wanted: str) -> None:
-    """Refuse what is wanted where rosbags is not installed, which knows the messages.
-
-    Raises:
-        BadInput: it is not; the message says how to install it.
-    """
-    if find_spec("rosbags") is None:
-        raise BadInput(f"{wanted} needs rosbags, which is not installed: install the extra decklander[ros2]")
-
-
 def typestore() -> Any:
     """Return the standard messages.
 
@@ -68,7 +58,7 @@ def open_node(name: str, middleware: str = "auto") -> "RosNode":
         BadInput: what it needs is not installed, or ROS_DOMAIN_ID is no number from 0 to 232.
         Recoverable: the middleware cannot open its sockets.
     """
-    require_rosbags("ROS 2")
+    require("ROS 2", "ros2", "rosbags")
     domain = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
     if not (domain.isascii() and domain.isdigit() and int(domain) <= 232):
         raise BadInput(f"ROS_DOMAIN_ID must be a number from 0 to 232, found {domain!r}")

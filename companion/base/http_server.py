@@ -29,8 +29,8 @@ from msgspec import Struct, field
 
 from companion.base.health import Health
 from companion.settings import files
+from companion.settings.certificates import server_context
 from companion.settings.links import HttpSettings
-from companion.settings.referenced_files import server_context
 from estimator.contracts.errors import Recoverable, refused
 
 log = logging.getLogger(__name__)

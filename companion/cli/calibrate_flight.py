@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from collections.abc import Mapping, MutableMapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,10 @@ from companion.recording.channels import CAMERA
 from companion.recording.reading import Recording, open_recording
 from companion.settings.guidance import FollowDeckOptions, Response, TiltResponse
 from companion.settings.load import load, read_text, response_model, shipped, shipped_response, write_whole
-from companion.settings.model import in_file
+from companion.settings.model import Settings, in_file
 from companion.tools.calibrate import flight_result as results
 from companion.tools.calibrate.flight_views import FlownCourses, flight_views, flown_courses
 from companion.tools.calibrate.touchdown_cost import ResponseCost, TouchdownCost, tilt_of_file, tilt_of_sigma
-from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, file_errors, refused
 
 _HELP = "identify a vehicle's response from a recorded flight"
@@ -344,9 +344,8 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     settings = recording.settings()
     if settings is None:
         raise BadInput(f"{recording.name}: does not hold its settings")
-    of_vehicle = isinstance(settings.vehicle, ArDroneOptions)
-    key = "vehicle.video_delay_s" if of_vehicle else "camera.latency_s"
-    was = settings.vehicle.video_delay_s if isinstance(settings.vehicle, ArDroneOptions) else settings.camera.latency_s
+    key = _delay_key(settings)
+    was = attrgetter(key)(settings)
     result = _result(args, recording)
     found, why = was - result.later_s, result.delay_refusal()
     if -_GYRO_TRAILS_S < found < 0.0:
@@ -363,9 +362,14 @@ def _delay(args: argparse.Namespace, recording: Recording) -> int:
     return _say(args, result, why, lines, record | _cost_record(*result.delay_costs()))
 
 
+def _delay_key(settings: Settings) -> str:
+    """Return the key of the delay from the exposure to the frames that the estimator gets."""
+    return f"vehicle.{settings.vehicle.frames_delay}" if settings.camera.source == "vehicle" else "camera.latency_s"
+
+
 def _write_delay(args: argparse.Namespace, key: str, was: float, found: float, sigma_s: float) -> None:
     now = load(args.config)
-    stands = now.vehicle.video_delay_s if isinstance(now.vehicle, ArDroneOptions) else now.camera.latency_s
+    stands = attrgetter(_delay_key(now))(now)
     if abs(stands - was) > 1e-6:
         flown = f"{was:g} in the recording; name the settings flown with"
         raise BadInput(f"--config {args.config}: {in_file(key)} is {stands:g}, but {flown}")

@@ -14,7 +14,6 @@ from companion.guidance.advice import CAUSES
 from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
 from companion.guidance.mission.rules import Row
-from companion.parts.mqtt import messages
 from companion.settings import schema
 from companion.settings.load import SHIPPED, Settings, complete, find_file, from_file, load, read_toml, shipped
 from companion.settings.referenced_files import check_files
@@ -50,12 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(imports, "foreign FILE", "the other program's file", type=Path)
     output(imports, "--out FILE", "settings file to write (.toml)", SETTINGS, required=True)
     option(imports, "--tag-mm MM", "side of the tag's dark square, where the file does not say it", type=float)
-    schema = actions.add_parser(
-        "schema",
-        help="print the JSON Schema of settings files or MQTT messages",
-        description="Print the JSON Schema of settings files or MQTT messages.",
+    actions.add_parser(
+        "schema", help="print the JSON Schema of settings files", description="Print the JSON Schema of settings files."
     )
-    option(schema, "--mqtt", "print that of the messages over MQTT")
     reference = actions.add_parser(
         "reference",
         help="look up a key, or print the reference of all settings",
@@ -81,13 +77,13 @@ def run(args: argparse.Namespace) -> int:
         faults: list[BadInput] = []
         for file in map(str, args.files):
             try:
-                settings = _checked(path := find_file(file, "", Path(), "settings"))
+                settings = _checked(find_file(file, "", Path(), "settings"))
                 with refused(file, BadInput):
                     unchecked = check_files(settings)
             except BadInput as why:
                 faults.append(why)
                 continue
-            sys.stdout.writelines(f"{file}: {line}\n" for line in (f"good{not_checked(unchecked)}", *remarks(settings, path)))
+            sys.stdout.writelines(f"{file}: {line}\n" for line in (f"good{not_checked(unchecked)}", *remarks(settings)))
         sys.stderr.writelines(f"decklander: {why}\n" for why in faults[:-1])
         if faults:
             raise faults[-1]
@@ -100,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "show":
         sys.stdout.write(schema.toml(load(args.file)))
     elif args.action == "schema":
-        sys.stdout.write(messages.schema() if args.mqtt else schema.schema())
+        sys.stdout.write(schema.schema())
     elif args.action == "mission":
         sys.stdout.write(mission_page())
     else:

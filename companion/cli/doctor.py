@@ -33,7 +33,7 @@ from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from drivers.mavlink.signing import Signing, SigningTimes
 from drivers.nmea.sentences import REFUSED_FOR
 from estimator.contracts.address import guarded
@@ -54,8 +54,8 @@ def given_links(args: argparse.Namespace, settings: Settings | None) -> GivenLin
     if args.system is not None and not 1 <= args.system <= 255:
         raise BadInput(f"--system must lie in 1 to 255, got {args.system}")
     if not args.link:
-        vehicle = None if settings is None else settings.vehicle
-        if not isinstance(vehicle, AutopilotOptions):
+        vehicle = None if settings is None else autopilot_of(settings.vehicle)
+        if vehicle is None:
             return None
         return vehicle if args.system is None else structs.replace(vehicle, system_id=args.system), signed_links(vehicle)
     try:

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from companion.cli.options import option
+from companion.parts.gamepad.mapping_file import mapping_of
 from companion.settings.load import shipped
-from companion.settings.referenced_files import mapping_of
 from drivers.clock import SystemClock
 from drivers.gamepad.device import AXES, EV_ABS, EV_KEY, FOLDER, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, gamepad_step, positions, start

@@ -170,8 +170,8 @@ def keeping(
     if args.record is None and args.report is None:
         yield KeptFlight(args, title, None, Path(), ())
         return
-    from companion.parts.recorder.setup import about, recorder_to_file, wall_offset_ns
-    from drivers.clock import SystemClock
+    from companion.parts.recorder.setup import about, recorder_to_file
+    from drivers.clock import SystemClock, wall_offset_ns
 
     frames: FrameForm = args.record_frames if perception == "pixels" else "none"
     facts = {**facts, "scenario": args.scenario, "seed": str(args.seed), "perception": perception}

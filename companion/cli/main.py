@@ -24,6 +24,8 @@ from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from companion.base import signals
+from companion.settings.capabilities import CAPABILITIES
+from drivers.extras import is_installed
 from estimator.contracts.address import masked
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible, one_line
 
@@ -38,9 +40,6 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "fly": {
         "run": ("companion.cli.run", "run the landing service"),
         "fly": ("companion.cli.fly", "give orders to the running service, or fly by the keyboard"),
-        "gamepad": ("companion.cli.gamepad", "list gamepads and show what they send"),
-        "watch": ("companion.cli.watch", "watch drones live in the terminal, over MQTT"),
-        "ros2": ("companion.cli.ros2", "publish a flight in ROS 2 while it is flown"),
     },
     "set up": {
         "start": ("companion.cli.start", "make the settings of your drone: asks, writes, checks"),
@@ -61,6 +60,12 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
 }
 """Commands by a person's need: module and one line of help for each."""
+OWNERS = {name: capability for capability in CAPABILITIES for name in capability.commands}
+"""The capabilities by their commands."""
+for _name, _owner in OWNERS.items():
+    if is_installed(_owner.module):
+        _command = _owner.commands[_name]
+        GROUPS[_command.group][_name] = (_command.module, _command.summary)
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 _READS_FILES_OF_OTHERS = frozenset({"calibrate", "config", "detect", "doctor", "pad", "record", "replay", "report"})
 """Commands that leave a part of the machine's memory to others, whatever a file holds."""
@@ -221,6 +226,8 @@ def _dispatch(argv: list[str], load: Load) -> int:
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=Parser)
     asked = next((word for word in argv if not word.startswith("-")), None)
+    if asked in OWNERS:
+        OWNERS[asked].require(f"decklander {asked}")
     if asked is not None and asked not in COMMANDS:
         near = difflib.get_close_matches(asked, COMMANDS, n=1)
         meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(COMMANDS)}"

@@ -24,13 +24,13 @@ from companion.parts.recorder.folder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
+from companion.settings.capabilities import offered
 from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
 from companion.settings.vessel import VesselOptions
-from companion.tools.ros2 import bags
 from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
-from drivers.imports.stamps import Tell
+from drivers.log_stamps import Tell
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, Recoverable, in_words, refused
 from estimator.contracts.estimates import Verdict
@@ -146,7 +146,7 @@ def _described(recording: Recording, seconds: float, images: int, verdicts: Coun
 def _export(args: argparse.Namespace) -> int:
     recording = _opened(args)
     if args.format == "ros2":
-        counts = bags.export(recording, args.output)
+        counts = offered("exporters", "ros2", "--format ros2")(recording, args.output)
         tell_damage(recording, "exported")
         sys.stdout.writelines(f"{n:8d}  {topic}\n" for topic, n in sorted(counts.items()))
         sys.stdout.write(f"{args.output}: {sum(counts.values())} messages; ros2 bag play {args.output}\n")
@@ -204,7 +204,8 @@ class _Source(Struct, frozen=True):
         if reader is not None:
             return iter(reader(path, self.note))
         if kind is FileKind.ROS_BAG:
-            return bags.read(path, self.note, self.topic)
+            bag: Iterator[Sample | Frame] = offered("importers", kind.name, f"{path}: {kind.value}")(path, self.note, self.topic)
+            return bag
         if kind is FileKind.IMAGES:
             return pictures.folder_frames(path, size, self.note)
         if kind is FileKind.TABLE:

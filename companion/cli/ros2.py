@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from companion.cli.options import option
+from drivers.extras import require
 from drivers.ros2 import MIDDLEWARES
 from estimator.contracts.errors import BadInput, Recoverable, in_words
 
@@ -49,9 +50,9 @@ def run(args: argparse.Namespace) -> int:
     """
     from companion.settings import files
     from companion.settings.load import camera_model, load, pad_model
-    from drivers.ros2 import open_node, require_rosbags
+    from drivers.ros2 import open_node
 
-    require_rosbags("decklander ros2")
+    require("decklander ros2", "ros2", "rosbags")
     if not re.fullmatch(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", args.namespace, re.ASCII):
         raise BadInput(f"--namespace must be names of letters, digits and _ with / between, got {args.namespace!r}")
     if args.seconds is not None and not 0 < args.seconds < 1e9:

@@ -17,9 +17,9 @@ from companion.service.assemble import Proven, live, make_daemon
 from companion.service.sole_service import sole_service
 from companion.settings.links import BridgeOptions
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
+from companion.settings.part_table import PartTable
 from companion.settings.referenced_files import check_files, check_installed
 from companion.settings.remarks import not_checked, remarks
-from drivers.mavlink.options import AutopilotOptions
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ def _run(args: argparse.Namespace, settings: Settings, file: Path, proven: Prove
         frames = "frames come from the vehicle" if camera.source == "vehicle" else f"frames from {camera.source} {camera.device}"
         unchecked = check_files(settings)
         sys.stdout.write(
-            f"{_vehicle(settings)}\n"
+            f"vehicle: {settings.vehicle.in_words}{_bridge(settings.bridge)}\n"
             f"camera: {camera.file}, {c.width}x{c.height} px, {frames}\n"
             f"pad: {settings.pad.file}\n"
             f"colours: {vision.colours}\n"
@@ -83,13 +83,13 @@ def _run(args: argparse.Namespace, settings: Settings, file: Path, proven: Prove
             f"start of the approach: {'; '.join(_starts(settings))}\n"
             f"limits: height {settings.limits.height_max_m:g} m, fence {settings.limits.fence}\n"
             f"recorder: {'on, into ' + settings.recorder.folder if settings.recorder.enabled else 'off'}\n"
-            f"mqtt: {_broker(settings)}\n"
+            f"{_of_capabilities(settings)}"
             f"http: {settings.http.endpoint}\n"
-            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings, file))
+            f"files: found{not_checked(unchecked)}\n" + "".join(f"{line}\n" for line in remarks(settings))
         )
         return 0
     with logging_to_stderr(settings.service.log_level) as reported:
-        for line in remarks(settings, file):
+        for line in remarks(settings):
             log.warning(line)
         if sys.stdin is not None and sys.stdin.isatty():
             log.warning(FROM_TERMINAL)
@@ -121,23 +121,6 @@ def _calibrate_pad(settings: Settings) -> None:
         sys.stderr.write(f"its calibration cannot be kept in {file}: {why.strerror or why}\n")
 
 
-def _vehicle(settings: Settings) -> str:
-    v, bridge = settings.vehicle, settings.bridge
-    if isinstance(v, AutopilotOptions):
-        signed = v.unsigned or "signed"
-        who = f", and from system {v.operators}" if v.operators else ""
-        whom = f"system {v.system_id}" if v.system_id else "the first autopilot found"
-        return (
-            f"vehicle: autopilot over {v.links} ({signed}), {whom}; "
-            f"we are component {v.component_id}; we take commands from the autopilot's own link{who}"
-        )
-    return (
-        f"vehicle: ardrone {v.model} at {v.host}, navdata {v.navdata_port}/udp, "
-        f"video {v.video_port}/{'udp' if v.model == '1.0' else 'tcp'}, "
-        f"commands {v.at_port}/udp, configuration {v.control_port}/tcp" + (_bridge(bridge) if bridge.links else "")
-    )
-
-
 def _starts(settings: Settings) -> list[str]:
     """Return what begins a landing: the start, and the switch and the handover if they are on."""
     switch, handover = settings.operator.switch, settings.operator.handover
@@ -151,6 +134,8 @@ def _starts(settings: Settings) -> list[str]:
 
 
 def _bridge(bridge: BridgeOptions) -> str:
+    if not bridge.links:
+        return ""
     who = (
         f"system {bridge.operators}"
         if bridge.operators
@@ -164,6 +149,6 @@ def _bridge(bridge: BridgeOptions) -> str:
     )
 
 
-def _broker(settings: Settings) -> str:
-    m = settings.mqtt
-    return "off" if m.transport == "off" else f"{m.transport} to {m.host}:{m.port} as {m.drone}"
+def _of_capabilities(settings: Settings) -> str:
+    named = ((name, getattr(settings, name)) for name in settings.__struct_fields__)
+    return "".join(f"{name}: {table.in_words}\n" for name, table in named if isinstance(table, PartTable) and table.in_words)

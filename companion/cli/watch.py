@@ -22,7 +22,7 @@ from companion.base import event_loop
 from companion.cli.options import option
 from companion.facts.records import StageRecord
 from companion.parts.mqtt import messages as wire
-from companion.settings.links import MqttSettings
+from companion.parts.mqtt.options import MqttSettings
 from companion.settings.load import load
 from estimator.contracts.errors import BadInput, Recoverable, refused
 from estimator.contracts.estimates import Method
@@ -406,6 +406,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(parser, "--plain-tcp", "connect without TLS")
     option(parser, "--drone NAME", "show only this drone (default: every drone on the broker)")
     option(parser, "--seconds S", "stop after this many seconds", type=float)
+    option(parser, "--schema", "print the JSON Schema of the messages instead")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -419,8 +420,11 @@ def run(args: argparse.Namespace) -> int:
     """
     from companion.parts.mqtt.connection import renewed_endpoint
 
+    if args.schema:
+        sys.stdout.write(wire.schema())
+        return 0
     if args.config is not None:
-        settings = load(args.config).mqtt
+        settings = load(args.config).of(MqttSettings)
         if settings.transport == "off":
             raise BadInput(f"{args.config}: mqtt.transport is off")
     else:

@@ -23,8 +23,6 @@ from companion.guidance.operator.arbiter import OperatorArbiter
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
-from drivers.ardrone.options import ArDroneOptions
-from drivers.mavlink.options import AutopilotOptions
 from estimator.attitude_history import DOWN, HeldCamera
 from estimator.contracts.commands import Lean
 from estimator.contracts.errors import in_words
@@ -458,8 +456,8 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             law=law_of(settings),
             manual=settings.operator.manual,
             limits=settings.limits,
-            over_ground=_over_ground(settings),
-            resumes=isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.mode_is_order,
+            over_ground=settings.vehicle.over_ground,
+            resumes=settings.vehicle.mode_is_order,
             reports=settings.vessel,
             motion_sensor=settings.vessel.motion_sensor,
             tilt=_flyable_tilt(settings),
@@ -479,26 +477,18 @@ def law_of(settings: Settings) -> Callable[[GuidanceOptions], Controller[Any]]:
     response, view = _within_driver(response_model(settings), settings), field_of_view(body_camera(settings))
 
     def make(guidance: GuidanceOptions) -> Controller[Any]:
-        return make_controller(ControllerSetup(guidance, response, view, _over_ground(settings)))
+        return make_controller(ControllerSetup(guidance, response, view, settings.vehicle.over_ground))
 
     make(settings.guidance)
     return make
 
 
-def _over_ground(settings: Settings) -> bool:
-    """Return whether the vehicle's own hover holds over the ground, and its driver adds the deck's velocity to a velocity."""
-    return isinstance(settings.vehicle, AutopilotOptions)
-
-
 def _within_driver(response: Response, settings: Settings) -> Response:
     """Return the response with no more than the driver lets through: the law has to know the tilt that is truly flown."""
-    vehicle = settings.vehicle
-    if not isinstance(vehicle, ArDroneOptions):
-        return response
-    tilt, climb = response.tilt, response.climb
+    tilt, climb, vehicle = response.tilt, response.climb, settings.vehicle
     return Response(
-        structs.replace(tilt, max_deg=max(2.0, min(tilt.max_deg, vehicle.euler_angle_max_deg))),
-        structs.replace(climb, max_m_s=min(climb.max_m_s, vehicle.vz_max_m_s)),
+        structs.replace(tilt, max_deg=max(2.0, min(tilt.max_deg, vehicle.tilt_max_deg))),
+        structs.replace(climb, max_m_s=min(climb.max_m_s, vehicle.climb_max_m_s)),
     )
 
 
@@ -550,7 +540,7 @@ def estimator_options(settings: Settings) -> EstimatorOptions:
     options = structs.replace(options, ekf=at_pad)
     if options.ekf.velocity_is_over != "auto":
         return options
-    over: Literal["ground", "either"] = "ground" if isinstance(settings.vehicle, AutopilotOptions) else "either"
+    over: Literal["ground", "either"] = "ground" if settings.vehicle.over_ground else "either"
     return structs.replace(options, ekf=structs.replace(options.ekf, velocity_is_over=over))
 
 

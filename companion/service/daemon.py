@@ -11,10 +11,8 @@ decisions is the cycle's (`companion.cycle`); clock, sockets and thread are here
 import asyncio
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 from msgspec import structs
 
@@ -28,9 +26,10 @@ from companion.base.service_log import ReportedOnce
 from companion.base.worker import Worker
 from companion.cycle.cycle import ATTITUDE_WAIT_S, Cycle
 from companion.cycle.pace import FramePace
+from companion.cycle.ports import OpenLink, VehicleLink
 from companion.guidance.pilot import Look, Pilot
 from companion.settings.service import RestartOptions
-from drivers.mailbox import Latest, Line
+from drivers.mailbox import Line
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
@@ -44,25 +43,6 @@ _ATTITUDE_TRIES = 10
 """Number of looks, while a frame waits, for the samples that it lacks."""
 _UNASKED_S = 0.1
 """Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
-
-
-class VehicleLink(Protocol):
-    """A vehicle with a camera, as a driver offers it while its context is open."""
-
-    @property
-    def frames(self) -> Latest[Frame]: ...
-
-    @property
-    def samples(self) -> Line[Sample]: ...
-
-    def command(self, command: Command) -> None: ...
-
-    def release(self) -> None:
-        """Leave the vehicle to a person on closing, instead of holding it for a successor."""
-        ...
-
-
-OpenLink = Callable[[], AbstractAsyncContextManager[VehicleLink]]
 
 
 @dataclass(frozen=True, slots=True)

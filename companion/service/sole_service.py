@@ -12,56 +12,24 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import chain
 from pathlib import Path
 
-from msgspec import Struct
-
 from companion.settings.model import Settings
-from drivers.mavlink.options import AutopilotOptions
+from drivers.vehicle import Claim
 from estimator.contracts.errors import BadInput
 
 _SOCKETS = Path("/proc/net/unix")
 _NAME_MAX = 100
 """The longest name of an abstract socket is 107 bytes."""
-_SYSTEMS = range(1, 256)
 _DIGITS = 20
 _HELD = re.compile(rf"@(decklander [0-9a-f]{{{_DIGITS}}})(?: (\d+) (.*))?$")
 _SOMEBODY = "another service"
 
 
-class _Claim(Struct, frozen=True):
-    """One thing that a service has for itself."""
-
-    key: str
-    what: str
-    """The thing in words, and how two services get by beside each other."""
-    fix: str
-    rivals: tuple[str, ...] = ()
-    """Keys of others that cannot be held beside this one."""
-
-
-def claims(settings: Settings) -> list[_Claim]:
-    """Return what a service of these settings has for itself: its vehicle by each of its links, and its name at the broker."""
-    vehicle, mqtt, found = settings.vehicle, settings.mqtt, list[_Claim]()
-    if isinstance(vehicle, AutopilotOptions):
-        for link in vehicle.endpoints():
-            fix = "give this one another vehicle.links or vehicle.system_id"
-            what, system = f"the autopilot on {link}", vehicle.system_id
-            if link.scheme == "serial":
-                found.append(_Claim(os.path.realpath(link.host), what, fix))
-            elif link.scheme == "udpin" and link.port:
-                found.append(_Claim(f"udpin {_address(link.host, link.port)}", what, fix))
-            elif link.scheme != "udpin":  # behind it there may be several vehicles; 0 takes the first
-                key = f"{link.scheme} {_address(link.host, link.port)}"
-                every = tuple(f"{key} {other}" for other in ((0,) if system else _SYSTEMS))
-                found.append(_Claim(f"{key} {system}", what, fix, every))
-    else:
-        where = _address(vehicle.host, vehicle.at_port)
-        found.append(_Claim(f"ardrone {where}", f"the AR.Drone at {vehicle.host}", "give this one another vehicle.host"))
-    if mqtt.transport != "off":
-        what = f"the name {mqtt.drone!r} at the broker {mqtt.host}:{mqtt.port}"
-        found.append(_Claim(f"mqtt {_address(mqtt.host, mqtt.port)} {mqtt.drone}", what, "give this one another mqtt.drone"))
-    return found
+def claims(settings: Settings) -> list[Claim]:
+    """Return what a service of these settings has for itself, as its vehicle by each of its links, or its name at a broker."""
+    return [*settings.vehicle.claims(), *chain.from_iterable(table.claims() for table in settings.part_tables())]
 
 
 @contextmanager
@@ -91,10 +59,6 @@ def sole_service(settings: Settings, file: Path) -> Iterator[None]:
                         f"{other} has {claim.what}: end that one first, or {claim.fix}; this one opened nothing, and ends"
                     )
         yield
-
-
-def _address(host: str, port: int) -> str:
-    return f"{'127.0.0.1' if host == 'localhost' else host.lower()}:{port}"
 
 
 def _name(key: str) -> str:

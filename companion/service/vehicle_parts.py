@@ -10,43 +10,29 @@ import logging
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
-from companion.base.containment import Body
-from companion.base.health import Health
-from companion.base.observer import NullObserver, Observer, ProcessedFrame
-from companion.base.orders import OrderSender, OrderSource
+from companion.base.observer import NullObserver, ProcessedFrame
+from companion.cycle.ports import Assembly, MakeVehicle, OpenLink, VehicleLink, VehicleParts
 from companion.guidance.pilot import Pilot
-from companion.guidance.pilot_operator import FlightWatch, PilotOperator
-from companion.service.daemon import OpenLink, VehicleLink
+from companion.settings.capabilities import imported, vehicle_kind
 from companion.settings.load import camera_model
-from companion.settings.model import Settings, ardrone_options
-from drivers.ardrone.link import open_ardrone
 from drivers.camera.exposure import ExposureDrive
 from drivers.camera.exposure_law import ExposureGovernor
 from drivers.camera.open_camera import open_camera
 from drivers.camera.options import CameraOptions, ExposureOptions, Lens, Size, check_size
 from drivers.camera.source import VideoSource
 from drivers.mailbox import Latest, Line
-from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.commands import Command
-from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.errors import refused
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame, Imu, Sample
 from estimator.contracts.time import Clock, MonoNs, seconds_between
-from estimator.uvlc import UvlcDecoder
 from estimator.vision.camera.camera import Camera
 from estimator.vision.camera.pose import Orientation
-
-if TYPE_CHECKING:
-    from companion.parts.mavlink.camera_component import ShowCamera
-    from drivers.mavlink.autopilot import Autopilot
-    from drivers.mavlink.links import Tap
 
 log = logging.getLogger(__name__)
 
@@ -191,45 +177,15 @@ def with_camera(
     return both
 
 
-@dataclass(frozen=True, slots=True)
-class VehicleParts:
-    """The parts of the vehicle that the daemon needs."""
-
-    open_link: OpenLink
-    observers: tuple[Observer, ...] = ()
-    extras: dict[str, Body] = field(default_factory=dict)
-    """Tasks to be supervised, by name."""
-    autopilot: Callable[[], Autopilot | None] = lambda: None
-    """Returns the autopilot whose links are open; None while they are not, or if the vehicle has none."""
-
-
-def vehicle_parts(
-    settings: Settings,
-    pilot: Pilot,
-    health: Health,
-    clock: Clock,
-    recording: Callable[[bool], str | None] | None = None,
-    tap: Tap | None = None,
-    show: ShowCamera | None = None,
-) -> VehicleParts:
+def vehicle_parts(service: Assembly) -> VehicleParts:
     """Return the vehicle of the settings, with its separate camera if there is one.
-
-    Args:
-        recording: switches the recorder; None if there is none.
-        tap: called with every MAVLink message, or None.
-        show: makes the camera's MAVLink component; None if no picture is streamed.
 
     Raises:
         BadInput: a signing key or the camera file cannot be read.
     """
-    vehicle = settings.vehicle
-    if isinstance(vehicle, AutopilotOptions):
-        from companion.parts.mavlink.make import AutopilotPart
-
-        autopilot = AutopilotPart(settings, vehicle, pilot, health, clock, recording, tap, show)
-        parts = VehicleParts(autopilot.open, (autopilot.component,), autopilot=lambda: autopilot.autopilot)
-    else:
-        parts = _ardrone(settings, pilot, health, clock, tap, show)
+    settings = service.settings
+    make: MakeVehicle = imported(vehicle_kind(settings.vehicle.kind).parts)
+    parts = make(service)
     if settings.camera.source == "vehicle":
         return parts
     camera = camera_model(settings)
@@ -237,37 +193,14 @@ def vehicle_parts(
         size = check_size((camera.width, camera.height))
     if not settings.camera.exposure.driven:
         lens = (camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
-        return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, clock, lens=lens))
-    exposure = ExposurePart(settings.camera.exposure, pilot)
-    health.counters("exposure", exposure.counted)
-    open_link = with_camera(parts.open_link, settings.camera, size, clock, exposure.attach)
+        return replace(parts, open_link=with_camera(parts.open_link, settings.camera, size, service.clock, lens=lens))
+    exposure = ExposurePart(settings.camera.exposure, service.pilot)
+    service.health.counters("exposure", exposure.counted)
+    open_link = with_camera(parts.open_link, settings.camera, size, service.clock, exposure.attach)
     return replace(parts, open_link=open_link, observers=(*parts.observers, exposure))
 
 
-def _ardrone(
-    settings: Settings, pilot: Pilot, health: Health, clock: Clock, tap: Tap | None, show: ShowCamera | None
-) -> VehicleParts:
-    if settings.camera.gimbal.given:
-        found = settings.camera.gimbal.device_id
-        raise BadInput(f"camera.gimbal.device_id must be 0, found {found}: only an autopilot's link tells of a gimbal")
-    options, items = ardrone_options(settings), settings.service.sample_queue_items
-    open_link = partial(open_ardrone, options, clock, items, UvlcDecoder(), health.failed)
-    if not settings.bridge.links:
-        return VehicleParts(open_link)
-    from companion.parts.mavlink.bridge import BridgePart
-    from companion.parts.mavlink.parameters import tunables
-    from companion.parts.mavlink.signed_links import signed_links
-
-    flight = FlightWatch(pilot, clock)
-    bridge = BridgePart(
-        settings.bridge,
-        signed_links(settings.bridge),
-        clock,
-        order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
-        below=lambda: flight.below(clock.now())[0],
-        tap=tap,
-        show=show,
-        store=tunables(settings, pilot),
-    )
-    health.counters("bridge", bridge.counted)
-    return VehicleParts(open_link, (bridge, flight), {"bridge": bridge.run})
+def join(service: Assembly) -> None:
+    """Add the vehicle. Its observers come first: an autopilot waits for the pad, and nobody else does."""
+    service.vehicle = parts = vehicle_parts(service)
+    service.observers[:0] = parts.observers

@@ -8,7 +8,6 @@
 
 import difflib
 import errno
-import math
 import os
 import re
 import secrets
@@ -23,11 +22,13 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
+from companion.settings.capabilities import imported, vehicle_kind
 from companion.settings.files import CREDENTIAL
 from companion.settings.guidance import Response, response_from_mapping
-from companion.settings.model import PadSettings, Settings, in_file, joined
+from companion.settings.model import PadSettings, Settings, in_file, joined, model_with
 from drivers.files import Largest, bytes_of
 from drivers.mavlink.options import AutopilotOptions
+from drivers.vehicle import VehicleOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
@@ -59,15 +60,6 @@ KINDS = {
     "title": "a scenario: give it to decklander simulate or campaign",
 }
 """Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
-_AUTOPILOT_DEFAULTS: dict[tuple[str, str], dict[str, Any]] = {
-    ("guidance", "tries"): {"heading": "align"},
-    ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
-}
-"""Defaults that depend on the autopilot, by settings table. They hold where a settings file names no value.
-
-A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
-(docs/decisions/filter-tilt.md#an-autopilots-bias-walks).
-"""
 
 
 def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
@@ -148,14 +140,25 @@ def from_mapping(data: Mapping[str, Any], where: str, *, by_autopilot: bool = Fa
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
     """
+    model = Settings
     try:
-        return _guard(msgspec.convert(_with_defaults_of_autopilot(data, by_autopilot), Settings, strict=True))
+        kind = _vehicle_of(data)
+        model = model_with(kind)
+        return _guard(msgspec.convert(_with_defaults_of(AutopilotOptions if by_autopilot else kind, data), model, strict=True))
     except BadInput as why:
         raise BadInput(f"{where}: {_shown(str(why), data)}") from None
     except msgspec.ValidationError as why:
         from companion.settings.schema import explain  # it describes the whole model
 
-        raise BadInput(f"{where}: {_shown(explain(Settings, data, str(why)), data)}") from why
+        raise BadInput(f"{where}: {_shown(explain(model, data, str(why)), data)}") from why
+
+
+def _vehicle_of(data: Mapping[str, Any]) -> type[VehicleOptions]:
+    """Return the table [vehicle] of the kind that the data name; the port itself where they name none, which is refused."""
+    vehicle = data.get("vehicle")
+    word = vehicle.get("kind") if isinstance(vehicle, Mapping) else None
+    found: type[VehicleOptions] = imported(vehicle_kind(word).options) if isinstance(word, str) else VehicleOptions
+    return found
 
 
 def _shown(text: str, data: Mapping[str, Any]) -> str:
@@ -179,12 +182,9 @@ def _guard(table: _Table) -> _Table:
     return table
 
 
-def _with_defaults_of_autopilot(data: Mapping[str, Any], by_autopilot: bool) -> Mapping[str, Any]:
-    """Return the mapping with an autopilot's defaults for its missing keys; its own values win."""
-    vehicle = data.get("vehicle")
-    if not by_autopilot and (not isinstance(vehicle, Mapping) or vehicle.get("kind") != "mavlink"):
-        return data
-    for (name, part), values in _AUTOPILOT_DEFAULTS.items():
+def _with_defaults_of(vehicle: type[VehicleOptions], data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the mapping with the defaults of a kind of vehicle for its missing keys; its own values win."""
+    for (name, part), values in vehicle.defaults.items():
         table = data.get(name, {})
         given = table.get(part, {}) if isinstance(table, Mapping) else None
         if isinstance(given, Mapping):
@@ -312,8 +312,8 @@ def response_model(settings: Settings) -> Response:
         BadInput: the file is missing or has a fault.
     """
     o = settings.guidance.follow_deck
-    by_kind = "autopilot" if isinstance(settings.vehicle, AutopilotOptions) else "ardrone2"
-    return shipped_response(by_kind if o.response_by_vehicle else o.response, "guidance.follow_deck.response")
+    name = settings.vehicle.response if o.response_by_vehicle else o.response
+    return shipped_response(name, "guidance.follow_deck.response")
 
 
 def shipped_response(name: str, what: str = "response") -> Response:

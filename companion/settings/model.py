@@ -11,20 +11,22 @@ In a file the keys of experts stand under `[expert]`, in the same tables as the 
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from inspect import get_annotations
-from operator import getitem
+from operator import attrgetter, getitem, or_
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, defstruct
 
+from companion.settings.capabilities import part_tables, refuse_missing_tables, vehicle_tables
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.links import BridgeOptions, HttpSettings, MqttSettings, OutputOptions, VideoStreamOptions
+from companion.settings.links import BridgeOptions, HttpSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
+from companion.settings.part_table import PartTable
 from companion.settings.service import RecorderOptions, RestartOptions
-from companion.settings.vessel import RtkOptions, VesselOptions
-from drivers.ardrone.options import ArDroneOptions
+from companion.settings.vessel import VesselOptions
 from drivers.camera.options import DRIVEN_SOURCES, SOURCES, CameraOptions
-from drivers.mavlink.options import AutopilotOptions, GimbalOptions
+from drivers.mavlink.options import GimbalOptions, autopilot_of
+from drivers.vehicle import VehicleOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC, choice, number, text, tuning
 from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS
@@ -33,6 +35,7 @@ from estimator.vision.options import TrackerOptions
 
 _MASTS_M = 15.0
 """Height over the sea of the masts of the smallest ship with a pad: a patrol boat of 20 m."""
+_Table = TypeVar("_Table", bound=PartTable)
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path"
 
 
@@ -71,10 +74,17 @@ class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
     health_period_s: Annotated[float, tuning("how often health is written to the log; 0 for never", "s", 0.0, 3600.0)] = 10.0
 
 
-class Settings(Struct, frozen=True, forbid_unknown_fields=True):
-    """All settings. `companion.settings.load.load` reads them from a file."""
+if TYPE_CHECKING:
+    Vehicle = VehicleOptions
+else:
+    Vehicle = reduce(or_, vehicle_tables())
+"""The table [vehicle]: that of any kind that is installed."""
 
-    vehicle: ArDroneOptions | AutopilotOptions
+
+class CommonSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """The settings that every service has."""
+
+    vehicle: Vehicle
     camera: CameraSettings
     pad: PadSettings
     vision: VisionSettings = VisionSettings()
@@ -82,7 +92,6 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     guidance: GuidanceOptions = GuidanceOptions()
     service: ServiceSettings = ServiceSettings()
     recorder: RecorderOptions = RecorderOptions()
-    mqtt: MqttSettings = MqttSettings()
     http: HttpSettings = HttpSettings()
     video_stream: VideoStreamOptions = VideoStreamOptions()
     landing_target: OutputOptions = OutputOptions()
@@ -90,7 +99,6 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     operator: OperatorOptions = OperatorOptions()
     limits: LimitOptions = LimitOptions()
     vessel: VesselOptions = VesselOptions()
-    rtk: RtkOptions = RtkOptions()
 
     def fault(self, *, by_autopilot: bool = False) -> str | None:
         """Return the reason why keys do not go together, beginning with the key, or None if they do.
@@ -98,17 +106,12 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
         Args:
             by_autopilot: whether an autopilot takes the place of the vehicle.
         """
-        if isinstance(self.vehicle, AutopilotOptions):
-            if self.camera.source == "vehicle":
-                return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
-            if self.bridge.links:
-                return "bridge.links must be empty: an autopilot speaks MAVLink itself"
-            if self.guidance.start == "automatic":
-                return 'guidance.start must be "signal": an autopilot that was lifted off by hand is left to its pilot'
-        elif self.guidance.held_ends == "return" and not by_autopilot:
-            return 'guidance.held_ends must be "hold" or "land": an AR.Drone has no return'
-        elif self.guidance.mission == "targets" and not by_autopilot:
-            return 'guidance.mission "targets" needs an autopilot that lands on LANDING_TARGETs, and an AR.Drone has none'
+        if self.camera.source == "vehicle" and not self.vehicle.frames_delay:
+            return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
+        replaced = by_autopilot and autopilot_of(self.vehicle) is None
+        for barred in () if replaced else self.vehicle.barred:
+            if barred.is_wrong(attrgetter(barred.key)(self)):
+                return f"{barred.key} {barred.why}"
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
             return (
                 f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '
@@ -121,26 +124,42 @@ class Settings(Struct, frozen=True, forbid_unknown_fields=True):
                 f"expert.guidance.elsewhere.height_m must be over the ship's masts, {least_m:g} m over the sea or more: "
                 f"vessel.pad_up_m and guidance.rendezvous.height_m over it, and at least {_MASTS_M:g} m"
             )
-        if self.vessel.mqtt and (self.mqtt.transport == "off" or self.mqtt.commands == "off"):
-            return "vessel.mqtt needs mqtt.transport and mqtt.commands: reports come from whom commands may come"
-        return None
+        return next(filter(None, (table.fault(self) for table in self.part_tables())), None)
+
+    def part_tables(self) -> list[PartTable]:
+        """Return the tables of the capabilities that are installed."""
+        return [table for name in self.__struct_fields__ if isinstance(table := getattr(self, name), PartTable)]
+
+    def of(self, kind: type[_Table]) -> _Table:
+        """Return the table of a capability."""
+        return next(table for table in self.part_tables() if isinstance(table, kind))
 
 
-def ardrone_options(settings: Settings) -> ArDroneOptions:
-    """Return the options of the AR.Drone.
+if TYPE_CHECKING:
+    Settings = CommonSettings
+else:
+    Settings = defstruct(
+        "Settings",
+        [(name, table, table()) for name, table in part_tables().items()],
+        bases=(CommonSettings,),
+        namespace={"__doc__": "All settings. `companion.settings.load.load` reads them from a file."},
+        module=__name__,
+        frozen=True,
+        forbid_unknown_fields=True,
+    )
+"""All settings: with a table for each capability that is installed. `companion.settings.load.load` reads them from a file."""
 
-    Raises:
-        BadInput: the vehicle is of another kind.
-    """
-    v = settings.vehicle
-    if not isinstance(v, ArDroneOptions):
-        raise BadInput('vehicle.kind must be "ardrone" here')
-    return v
+
+def model_with(vehicle: type[VehicleOptions]) -> type[Settings]:
+    """Return the model of settings for a kind of vehicle, which another package may offer."""
+    if vehicle is VehicleOptions or vehicle in vehicle_tables():
+        return Settings
+    found = defstruct("Settings", [("vehicle", vehicle)], bases=(Settings,), frozen=True, forbid_unknown_fields=True)
+    assert issubclass(found, Settings)
+    return found
 
 
 EXPERT = "expert"
-RENAMED: dict[str, tuple[str, dict[str, Any]]] = {"page": ("http", {}), "metrics": ("http", {"page": False, "port": 9464})}
-"""Tables that have another name now, with their defaults that are others there."""
 
 
 def joined(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,12 +175,7 @@ def joined(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(inside, Mapping):
         raise BadInput(f"{EXPERT} must be a table of keys")
     outside = {name: value for name, value in data.items() if name != EXPERT}
-    for name, (new, defaults) in RENAMED.items():
-        if isinstance(table := outside.get(name), Mapping):
-            if new in outside:
-                raise BadInput(f"{name} is called {new} now, and there is such a table too: keep one")
-            outside[new] = {**defaults, **table}
-            del outside[name]
+    refuse_missing_tables([*outside, *inside])
     misplaced = [f"{path} belongs in [{EXPERT}.{path.rpartition('.')[0]}]" for path, public in _known(outside) if not public]
     misplaced += [f"{EXPERT}.{path} belongs in [{path.rpartition('.')[0]}]" for path, public in _known(inside) if public]
     if misplaced:
@@ -169,10 +183,10 @@ def joined(data: Mapping[str, Any]) -> dict[str, Any]:
     return _merged(outside, inside)
 
 
-def split(tables: Mapping[str, Any]) -> dict[str, Any]:
+def split(tables: Mapping[str, Any], model: type[Settings] = Settings) -> dict[str, Any]:
     """Return the tables of whole settings as a settings file has them: what `joined` joins."""
     found: dict[bool, dict[str, Any]] = {True: {}, False: {}}
-    for path, public in _known(tables):
+    for path, public in _known(tables, (model,)):
         value: Any = reduce(getitem, path.split("."), tables)
         found[public] = _merged(found[public], _alone(path, value))
     return {**found[True], EXPERT: found[False]}

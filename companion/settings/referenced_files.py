@@ -6,94 +6,24 @@
 from __future__ import annotations
 
 import os
-import ssl
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from companion.settings import files
+from companion.settings.capabilities import CAPABILITIES, Reference, References, imported
+from companion.settings.certificates import server_context
 from companion.settings.files import CREDENTIAL
-from companion.settings.links import HttpSettings, MqttSettings
-from companion.settings.load import SHIPPED, find_file, read_toml
+from companion.settings.load import SHIPPED
 from companion.settings.model import Settings
-from companion.settings.schema import explain
-from drivers.ardrone.options import ArDroneOptions
-from drivers.endpoint import NMEA2000, RELPOS, parse_bus, require_ship
-from drivers.files import Largest, bytes_of, refuse_special
-from drivers.gamepad.mapping import GamepadMapping
-from drivers.mavlink.options import MavlinkOptions
+from drivers.files import Largest, bytes_of
+from drivers.mavlink.options import autopilot_of
 from drivers.pyav import require_pyav
-from drivers.ros2 import require_rosbags
 from estimator.contracts.errors import BadInput
 
 if TYPE_CHECKING:
     from estimator.vision.learned.second_opinion import SecondOpinion
-
-
-def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
-    """Return a context for TLS 1.2 or newer that checks the broker's name against its certificate, or None for plain TCP.
-
-    Raises:
-        BadInput: a file of certificates or keys that cannot be read or used.
-    """
-    if settings.transport != "tls":
-        return None
-    ca = files.find(settings.ca_file, "mqtt")
-    if ca is not None:
-        refuse_special(ca, Largest.CERTIFICATE, f"mqtt.ca_file: {ca}")
-    try:
-        context = ssl.create_default_context(cafile=None if ca is None else str(ca))
-        context.minimum_version = ssl.TLSVersion.TLSv1_2
-        if ca is not None:  # one's own may lack extensions that Python demands from 3.13 on
-            context.verify_flags &= ~ssl.VERIFY_X509_STRICT
-    except (OSError, ValueError) as why:
-        raise BadInput(f"mqtt.ca_file: {ca}: {_reason(why)}") from why
-    _add_certificate(context, settings, "mqtt")
-    return context
-
-
-def server_context(settings: HttpSettings) -> ssl.SSLContext | None:
-    """Return the TLS context of the HTTP port; None where it is served in clear.
-
-    Raises:
-        BadInput: the certificate or its key cannot be read or used.
-    """
-    if settings.endpoint != "https":
-        return None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    _add_certificate(context, settings, "http")
-    return context
-
-
-def _add_certificate(context: ssl.SSLContext, settings: HttpSettings | MqttSettings, section: str) -> None:
-    """Load the certificate of a section and its key, if it names both.
-
-    Raises:
-        BadInput: a file cannot be read or used.
-    """
-    certificate, key = files.find(settings.certificate_file, section), files.find(settings.key_file, section)
-    if certificate is None or key is None:
-        return
-    refuse_special(certificate, Largest.CERTIFICATE, f"{section}.certificate_file: {certificate}")
-    refuse_special(key, Largest.CERTIFICATE, f"{section}.key_file: {key}")
-    try:
-        context.load_cert_chain(certificate, key, password=_no_passphrase)
-    except (OSError, ValueError) as why:
-        raise BadInput(f"{section}.certificate_file, key_file: {certificate}, {key}: {_reason(why)}") from why
-
-
-def _no_passphrase() -> str:
-    raise ValueError("a key with a passphrase cannot be used: nobody is there to type it")
-
-
-def _reason(why: Exception) -> str:
-    if isinstance(why, ssl.SSLError):
-        return "not certificates or keys that fit" + (f" ({why.reason})" if why.reason else "")
-    return str(getattr(why, "strerror", None) or why)
 
 
 SHIPPED_NETWORK = SHIPPED / "learned" / "second_opinion.onnx"
@@ -123,20 +53,6 @@ def second_opinion(file: str, what: str) -> SecondOpinion:
     return SecondOpinion(bytes_of(path, Largest.NETWORK, f"{what}: {path}"), f"{what}: {path}")
 
 
-def mapping_of(name_or_path: str) -> GamepadMapping:
-    """Return the mapping in a file, or a shipped one (`configs/gamepads/*.toml`) by its name.
-
-    Raises:
-        BadInput: the file is missing or has a fault; the text names the file and the key.
-    """
-    path = find_file(name_or_path, "gamepads", Path(), "operator.gamepad")
-    data = read_toml(path)
-    try:
-        return msgspec.convert(data, GamepadMapping, strict=True)
-    except msgspec.ValidationError as why:
-        raise BadInput(f"{path}: {explain(GamepadMapping, data, str(why))}") from why
-
-
 def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:
     """Read every key, password and certificate that the settings name, as the service does when it opens its links.
 
@@ -163,10 +79,10 @@ def _require_stream(device: str) -> None:
         raise BadInput(f"camera.device: {device}: No such file or directory")
 
 
-def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Callable[[], object]]]:
+def _references(settings: Settings) -> Iterator[Reference]:
     """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
-    for section, table in (("vehicle", settings.vehicle), ("bridge", settings.bridge)):
-        if isinstance(table, MavlinkOptions) and table.links and table.signing_key_file:
+    for section, table in (("vehicle", autopilot_of(settings.vehicle)), ("bridge", settings.bridge)):
+        if table is not None and table.links and table.signing_key_file:
             what = f"{section}.signing_key_file"
             yield what, (table.signing_key_file,), partial(files.signing_key, table.signing_key_file, what)
     if settings.camera.source == "stream":
@@ -175,17 +91,18 @@ def _references(settings: Settings) -> Iterator[tuple[str, tuple[str, ...], Call
     vision = settings.vision
     if vision.learned != "off":
         yield ("vision.learned_file", (vision.learned_file,), lambda: second_opinion(vision.learned_file, "vision.learned_file"))
-    m = settings.mqtt
-    if m.transport != "off":
-        yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt.password_file")
-        yield ("mqtt.command_key_file", (m.command_key_file,), lambda: files.key(m.command_key_file, "mqtt.command_key_file"))
-        yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
     if settings.http.endpoint != "off":
         http = settings.http
         yield "http.token_file", (http.token_file,), lambda: files.token(http.token_file, "http.token_file")
         yield "http.certificate_file", (http.certificate_file, http.key_file), lambda: server_context(http)
-    if settings.operator.gamepad != "off":
-        yield "operator.gamepad", (settings.operator.gamepad,), lambda: mapping_of(settings.operator.gamepad)
+    yield from _of_capabilities(settings)
+
+
+def _of_capabilities(settings: Settings) -> Iterator[Reference]:
+    for capability in CAPABILITIES:
+        if capability.references and capability.wanted_by(settings):
+            named: References = imported(capability.references)
+            yield from named(settings)
 
 
 def check_installed(settings: Settings) -> None:
@@ -196,9 +113,7 @@ def check_installed(settings: Settings) -> None:
     """
     vehicle, camera = settings.vehicle, settings.camera
     wanting = {
-        f'vehicle.model = "{getattr(vehicle, "model", "")}"': isinstance(vehicle, ArDroneOptions)
-        and camera.source == "vehicle"
-        and vehicle.model != "1.0",
+        vehicle.decoder_for: camera.source == "vehicle" and bool(vehicle.decoder_for),
         'camera.source = "stream"': camera.source == "stream",
         'camera.format = "H264"': camera.source == "v4l2" and camera.format == "H264",
         'recorder.frames = "h264"': settings.recorder.enabled and settings.recorder.frames == "h264",
@@ -207,10 +122,9 @@ def check_installed(settings: Settings) -> None:
     for setting, wants in wanting.items():
         if wants:
             require_pyav(setting)
-    if camera.source == "ros2":
-        require_rosbags('camera.source = "ros2"')
-    if (bus := settings.vessel.bus) and parse_bus(bus).signalk is None:
-        require_ship(f"vessel.bus {bus}", NMEA2000)
-    for key in ("source", "heading"):
-        if of := getattr(settings.rtk, key):
-            require_ship(f"rtk.{key} {of}", RELPOS)
+    for capability in CAPABILITIES:
+        if key := capability.wanted_by(settings):
+            capability.require(key)
+    for _, named, look in _of_capabilities(settings):
+        if not named:
+            look()

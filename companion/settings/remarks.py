@@ -10,12 +10,11 @@ from typing import NamedTuple
 import msgspec
 from msgspec import NODEFAULT, Struct
 
-from companion.settings.load import camera_model, find_file, lens_assumed, mount_assumed, read_toml
+from companion.settings.load import camera_model, find_file, lens_assumed, mount_assumed
 from companion.settings.mission import ConeOptions
-from companion.settings.model import RENAMED, Settings, in_file
+from companion.settings.model import Settings, in_file
 from companion.settings.sound import beyond_sound
 from drivers.camera.options import DRIVEN_SOURCES
-from drivers.mavlink.options import AutopilotOptions
 
 _AIS_PERIOD_S = 10.0
 """Interval of the AIS reports of a ship under way at up to 14 knots (ITU-R M.1371-5, annex 1, table 1)."""
@@ -36,7 +35,7 @@ def sources(settings: Settings) -> tuple[str, ...]:
         "vessel.nmea": bool(settings.vessel.nmea),
         "vessel.bus": bool(settings.vessel.bus),
         "vessel.mqtt": settings.vessel.mqtt,
-        "vehicle.vessel_id": isinstance(settings.vehicle, AutopilotOptions) and settings.vehicle.vessel_id != 0,
+        **{f"vehicle.{key}": bool(getattr(settings.vehicle, key)) for key in settings.vehicle.ship_keys},
     }
     return tuple(key for key, is_set in named.items() if is_set)
 
@@ -45,7 +44,7 @@ def contradiction(settings: Settings) -> Contradiction | None:
     """Return what does not go together about the ship's place, or None."""
     reported, flies_there = sources(settings), settings.guidance.rendezvous.enabled
     if flies_there and not reported:
-        by_link = ", vehicle.vessel_id" if isinstance(settings.vehicle, AutopilotOptions) else ""
+        by_link = "".join(f", vehicle.{key}" for key in settings.vehicle.ship_keys)
         return Contradiction(
             "guidance.rendezvous.enabled is true, but nothing tells where the ship is",
             f"set a source (vessel.nmea, vessel.bus, vessel.mqtt{by_link}), or the drone refuses where the pad is not in sight",
@@ -122,7 +121,7 @@ _RULES = (
     _Rule("guidance.rendezvous.", _is("guidance.rendezvous.enabled", False), "guidance.rendezvous.enabled"),
     _Rule("vessel.", ("no source of the ship's place is set", lambda s: not sources(s))),
     _Rule("operator.gamepad_device", _is("operator.gamepad", "off")),
-    _Rule("landing_target.", _is("vehicle.kind", "ardrone")),
+    _Rule("landing_target.", ("the vehicle takes no LANDING_TARGET", lambda s: not s.vehicle.takes_targets)),
     _Rule("camera.gimbal.", _is("camera.gimbal.device_id", 0), "camera.gimbal.device_id"),
     _Rule("camera.exposure.", _is("camera.exposure.mode", "camera"), "camera.exposure.mode"),
     _Rule("bridge.", _is("bridge.links", "")),
@@ -165,29 +164,28 @@ _RULES = (
 """The first rule that holds explains a key."""
 
 
-def remarks(settings: Settings, path: Path) -> tuple[str, ...]:
-    """Return a line for each thing in the good settings of a file that is hardly what their author meant."""
+def remarks(settings: Settings) -> tuple[str, ...]:
+    """Return a line for each thing in good settings that is hardly what their author meant."""
     found = contradiction(settings)
     contradicting = () if found is None else (f"{found.what}: {found.fix}",)
     mount = mount_assumed(find_file(settings.camera.file, "cameras", Path(), "camera.file"))
     said = *_empty_battery(settings), *_feet(settings), *_numbered_ports(settings), *lens_assumed(camera_model(settings))
-    old = (f"[{name}] is called [{RENAMED[name][0]}] now (docs/page.md)" for name in read_toml(path) if name in RENAMED)
-    return (*old, *without_effect(settings), *contradicting, *beyond_sound(settings), *said, *mount)
+    return (*without_effect(settings), *contradicting, *beyond_sound(settings), *said, *mount)
 
 
 def _empty_battery(settings: Settings) -> tuple[str, ...]:
     """Return that a drone which refuses hovers until its battery is empty, where the settings say so."""
     o = settings.guidance
-    leaves = o.refused != "hold" and isinstance(settings.vehicle, AutopilotOptions)
+    leaves = o.refused != "hold" and settings.vehicle.returns
     return (
         () if leaves or o.last_charge > 0.0 else ("expert.guidance.last_charge is 0: a drone that refused hovers until it falls",)
     )
 
 
 def _feet(settings: Settings) -> tuple[str, ...]:
-    """Return that an autopilot's vehicle is said to stand on an AR.Drone's feet."""
+    """Return that a vehicle of other feet has those of the defaults."""
     its_m = ConeOptions().feet_below_m
-    if not isinstance(settings.vehicle, AutopilotOptions) or settings.guidance.cone.feet_below_m != its_m:
+    if settings.vehicle.has_default_feet or settings.guidance.cone.feet_below_m != its_m:
         return ()
     return (f"guidance.cone.feet_below_m is {its_m:g} m, an AR.Drone's: taller feet touch before the deck is expected",)
 

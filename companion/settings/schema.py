@@ -179,7 +179,7 @@ def toml(settings: Settings) -> str:
 
     Passwords in addresses are masked: such a file is shown, recorded and sent to others.
     """
-    return "\n".join(_tables(split(msgspec.to_builtins(settings, enc_hook=str)), ())).lstrip("\n") + "\n"
+    return "\n".join(_tables(split(msgspec.to_builtins(settings, enc_hook=str), type(settings)), ())).lstrip("\n") + "\n"
 
 
 def _tables(data: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:

@@ -4,13 +4,15 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
-from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
+from drivers.vehicle import Barred, Claim, VehicleOptions, host_and_port
+from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import choice, number, text, tuning
 
 CODECS = {"1.0": "32", "2.0": "129"}
 """The video codec that is requested, by the drone's generation: UVLC, and H.264 of 640x360 px."""
 
 
-class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
+class ArDroneOptions(VehicleOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="ardrone"):
     """The vehicle: a Parrot AR.Drone, or the simulated one, with the same protocol.
 
     Raises:
@@ -147,6 +149,18 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
             "frames up to this long after the bottom camera was selected may be of the other one, and are dropped", "s", 0.0, 10.0
         ),
     ] = 0.3
+    frames_delay = "video_delay_s"
+    has_default_feet = True
+    response = "ardrone2"
+    barred = (
+        Barred("guidance.held_ends", lambda ends: ends == "return", 'must be "hold" or "land": an AR.Drone has no return'),
+        Barred(
+            "guidance.mission",
+            lambda mission: mission == "targets",
+            '"targets" needs an autopilot that lands on LANDING_TARGETs, and an AR.Drone has none',
+        ),
+        Barred("camera.gimbal.device_id", lambda device: device != 0, "must be 0: only an autopilot's link tells of a gimbal"),
+    )
     IDS: ClassVar[tuple[str, str, str]] = ("dec1a4de", "dec1a4d1", "dec1a4d0")
     """Session, user and application of the drone's multiple configurations."""
     further_configuration: Annotated[
@@ -156,6 +170,47 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     def __post_init__(self) -> None:
         super().__post_init__()
         self.configuration()
+
+    @property
+    def name(self) -> str:
+        return f"AR.Drone at {self.host}"
+
+    @property
+    def in_words(self) -> str:
+        return (
+            f"ardrone {self.model} at {self.host}, navdata {self.navdata_port}/udp, "
+            f"video {self.video_port}/{'udp' if self.model == '1.0' else 'tcp'}, "
+            f"commands {self.at_port}/udp, configuration {self.control_port}/tcp"
+        )
+
+    @property
+    def address(self) -> str:
+        return f"{self.host}-{self.at_port}"
+
+    @property
+    def left_alone(self) -> str:
+        alone_s = 2 * self.com_watchdog_s
+        return f"the drone hovers, and lands where it is after {alone_s:g} s if nobody else flies it by then"
+
+    @property
+    def decoder_for(self) -> str:
+        return "" if self.model == "1.0" else f'vehicle.model = "{self.model}"'
+
+    @property
+    def probe(self) -> tuple[str, int]:
+        return self.host, self.control_port
+
+    @property
+    def tilt_max_deg(self) -> float:
+        return self.euler_angle_max_deg
+
+    @property
+    def climb_max_m_s(self) -> float:
+        return self.vz_max_m_s
+
+    def claims(self) -> list[Claim]:
+        where = host_and_port(self.host, self.at_port)
+        return [Claim(f"ardrone {where}", f"the AR.Drone at {self.host}", "give this one another vehicle.host")]
 
     @property
     def euler_angle_max_rad(self) -> float:
@@ -192,3 +247,14 @@ class ArDroneOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True, ta
     def timeouts(self, seconds: int) -> list[AtCommand]:
         """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: nobody may be there to wait."""
         return [Ctrl(CTRL_ACK), ConfigIds(*self.IDS), Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]
+
+
+def ardrone_options(vehicle: VehicleOptions) -> ArDroneOptions:
+    """Return the options of an AR.Drone.
+
+    Raises:
+        BadInput: the vehicle is of another kind.
+    """
+    if not isinstance(vehicle, ArDroneOptions):
+        raise BadInput('vehicle.kind must be "ardrone" here')
+    return vehicle

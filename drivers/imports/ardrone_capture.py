@@ -10,7 +10,7 @@ from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.navdata_channel import AS_REPORTED, NavdataSampler
 from drivers.ardrone.pave import PaveParser, VideoDecoder
 from drivers.files import Largest, bytes_of
-from drivers.imports.stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
+from drivers.log_stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample
 

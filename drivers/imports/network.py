@@ -5,10 +5,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from drivers.endpoint import NMEA2000, require_ship
+from drivers.extras import require
 from drivers.files import Largest, bytes_of
 from drivers.imports.sentences import filled, logger_s
-from drivers.imports.stamps import Tell, timeline
+from drivers.log_stamps import Tell, timeline
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
 from estimator.contracts.errors import BadInput
@@ -31,7 +31,7 @@ def read(path: Path, tell: Tell) -> Iterator[Sample]:
     Raises:
         BadInput: it cannot be read, the extra `ship` is not installed, or no time is in it.
     """
-    require_ship(str(path), NMEA2000)
+    require(str(path), "ship", "nmea2000", "can")
     lines, times = _timed(path)
     sensors = ShipSensors()
     reader = BusReader(sensors)

@@ -22,7 +22,7 @@ from pathlib import Path
 from drivers.camera.images import PICTURES, ImageRefused, decode
 from drivers.camera.videos import frames_of, has_times, open_video, predicts_frames, video_of
 from drivers.files import Largest, bytes_of, refuse_special, seen_in
-from drivers.imports.stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
+from drivers.log_stamps import FRAME_DELAY_S, Tell, attitude, quiet, stamp, timeline
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput, DecklanderError, refused
 from estimator.contracts.geometry import Rotation

@@ -16,7 +16,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from drivers.files import Largest, bytes_of
-from drivers.imports.stamps import Tell, timeline
+from drivers.log_stamps import Tell, timeline
 from drivers.nmea.sentences import NmeaReader
 from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput

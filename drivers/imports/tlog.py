@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from drivers.files import Largest, bytes_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
-from drivers.imports.stamps import Tell, quiet, timeline
+from drivers.log_stamps import Tell, quiet, timeline
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message

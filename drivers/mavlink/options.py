@@ -5,16 +5,21 @@ This module imports nothing of the dialect, so that settings can be read without
 """
 
 import math
+import os
+from types import MappingProxyType
 from typing import Annotated, ClassVar, Literal
 
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
+from drivers.vehicle import Barred, Claim, VehicleOptions, host_and_port
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
 LINKS = "MAVLink links, with commas between: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD"
 VELOCITY_MODES = ("guided", "offboard")
 """The modes in which ArduPilot and PX4 follow setpoints."""
+PX4_HOLD = "auto.loiter"
+"""The mode in which PX4 holds by itself."""
 TARGET_MODES = ("land", "auto.precland")
 """The modes in which ArduPilot and PX4 land on LANDING_TARGETs by themselves."""
 
@@ -133,7 +138,10 @@ class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     drift_ppm: Annotated[float, tuning("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
 
 
-class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
+_SYSTEMS = range(1, 256)
+
+
+class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="mavlink"):
     """A vehicle with an ArduPilot or PX4 autopilot (docs/mavlink.md), and a camera on the computer beside it.
 
     Raises:
@@ -210,12 +218,79 @@ class AutopilotOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True, 
     samples: SampleOptions = SampleOptions()
     timesync: TimeSyncOptions = TimeSyncOptions()
 
+    over_ground = True
+    returns = True
+    takes_targets = True
+    orders_recordings = True
+    response = "autopilot"
+    # A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
+    # (docs/decisions/filter-tilt.md#an-autopilots-bias-walks).
+    defaults = MappingProxyType(
+        {
+            ("guidance", "tries"): {"heading": "align"},
+            ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
+        }
+    )
+    barred = (
+        Barred("bridge.links", bool, "must be empty: an autopilot speaks MAVLink itself"),
+        Barred(
+            "guidance.start",
+            lambda start: start == "automatic",
+            'must be "signal": an autopilot that was lifted off by hand is left to its pilot',
+        ),
+    )
+    ship_keys = ("vessel_id",)
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.endpoints():
             raise ValueError("links: there must be one")
         if self.vessel_id and self.vessel_id == self.system_id:
             raise ValueError(f"vessel_id must not be the autopilot's own system_id, found {self.vessel_id}")
+
+    @property
+    def name(self) -> str:
+        return f"autopilot on {self.links}"
+
+    @property
+    def in_words(self) -> str:
+        who = f", and from system {self.operators}" if self.operators else ""
+        whom = f"system {self.system_id}" if self.system_id else "the first autopilot found"
+        return (
+            f"autopilot over {self.links} ({self.unsigned or 'signed'}), {whom}; "
+            f"we are component {self.component_id}; we take commands from the autopilot's own link{who}"
+        )
+
+    @property
+    def address(self) -> str:
+        return f"mavlink-{self.component_id}-{self.system_id}"
+
+    @property
+    def left_alone(self) -> str:
+        return "the autopilot has the vehicle"
+
+    def modes_left(self, mode: str) -> tuple[str, ...]:
+        """Return the mode, and PX4's hold beside OFFBOARD, which it leaves where setpoints end."""
+        return (mode, PX4_HOLD) if mode == VELOCITY_MODES[1] else (mode,)
+
+    def claims(self) -> list[Claim]:
+        found, fix = list[Claim](), "give this one another vehicle.links or vehicle.system_id"
+        for link in self.endpoints():
+            what = f"the autopilot on {link}"
+            if link.scheme == "serial":
+                found.append(Claim(os.path.realpath(link.host), what, fix))
+            elif link.scheme == "udpin" and link.port:
+                found.append(Claim(f"udpin {host_and_port(link.host, link.port)}", what, fix))
+            elif link.scheme != "udpin":  # behind it there may be several vehicles; 0 takes the first
+                key = f"{link.scheme} {host_and_port(link.host, link.port)}"
+                every = tuple(f"{key} {other}" for other in ((0,) if self.system_id else _SYSTEMS))
+                found.append(Claim(f"{key} {self.system_id}", what, fix, every))
+        return found
+
+
+def autopilot_of(vehicle: VehicleOptions) -> AutopilotOptions | None:
+    """Return the options of an autopilot; None if the vehicle is none, and has no MAVLink of its own."""
+    return vehicle if isinstance(vehicle, AutopilotOptions) else None
 
 
 GimbalReport = Literal["auto", "mount_status"]

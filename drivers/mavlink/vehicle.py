@@ -10,7 +10,7 @@ from enum import Enum
 
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.failsafe import Failsafe
-from drivers.mavlink.options import TARGET_MODES, VELOCITY_MODES
+from drivers.mavlink.options import PX4_HOLD, TARGET_MODES, VELOCITY_MODES
 from estimator.contracts.geometry import GeoPoint
 
 _FIXED_WING = 1  # MAV_TYPE of a QuadPlane, as ArduPlane reports it unless Q_MAV_TYPE says otherwise
@@ -73,13 +73,8 @@ LAND_MODE = {Stack.ARDUPILOT: "land", Stack.PLANE: "qland", Stack.PX4: "auto.lan
 TARGET_MODE = dict(zip((Stack.ARDUPILOT, Stack.PX4), TARGET_MODES, strict=True)) | {Stack.PLANE: "qland"}
 """The mode in which each stack lands on LANDING_TARGETs by itself; ArduPlane by its own script alone."""
 RETURN_MODE = {Stack.ARDUPILOT: "rtl", Stack.PLANE: "qrtl", Stack.PX4: "auto.rtl"}
-HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PLANE: "guided", Stack.PX4: "auto.loiter"}
+HOLD_MODE = {Stack.ARDUPILOT: "brake", Stack.PLANE: "guided", Stack.PX4: PX4_HOLD}
 """The mode in which each stack holds by itself. QLOITER descends where the throttle stick is low or no remote is there."""
-
-
-def modes_left(mode: str) -> tuple[str, ...]:
-    """Return the modes of an autopilot that nobody has taken since it was in a mode: PX4 leaves OFFBOARD where setpoints end."""
-    return (mode, HOLD_MODE[Stack.PX4]) if mode == VELOCITY_MODE[Stack.PX4] else (mode,)
 
 
 def stack_of(heartbeat: Message) -> Stack:

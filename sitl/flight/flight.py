@@ -20,12 +20,13 @@ from companion.base.mission import FLOWN
 from companion.base.observer import Decision, Observer
 from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
-from companion.settings.model import Settings, ardrone_options
+from companion.settings.model import Settings
 from drivers.ardrone import at
 from drivers.ardrone.arbiter import CommandArbiter
 from drivers.ardrone.custody import CommandStreamer
 from drivers.ardrone.navdata import Navdata
 from drivers.ardrone.navdata_channel import NavdataOrder, NavdataSampler, SequencePlace
+from drivers.ardrone.options import ardrone_options
 from drivers.ardrone.setup import configuration_commands
 from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible
@@ -113,14 +114,14 @@ class Flight:
         self._renew = renew or (lambda: pilot)
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
-        self._grader = FlightGrader(self.world, settings, ardrone_options(settings).com_watchdog_s)
+        self._grader = FlightGrader(self.world, settings, ardrone_options(settings.vehicle).com_watchdog_s)
         self._person = SimulatedPerson(self.world.faults, self._grader.on_act)
         self._reporter = VesselReporter(self.world)
         self._views: dict[int, RenderedFrame] = {}
         self._observers = tuple(observers)
         self._settings, self._timing = settings, timing or Timing()
         self._limit_s = scenario.duration_limit_s
-        self._options = ardrone_options(settings)
+        self._options = ardrone_options(settings.vehicle)
         self._arbiter = CommandArbiter(self._options.hold_s, self._options.vz_max_m_s)
         self._generation = GENERATIONS[scenario.vehicle.generation]
         self._generation.check_model(self._options.model)

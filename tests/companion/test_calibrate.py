@@ -22,6 +22,7 @@ from companion.tools.calibrate.guide import Guide, GuideState, assess, missing_b
 from companion.tools.calibrate.gyro_attitude import exp, exps
 from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
 from companion.tools.calibrate.solve import distance_errors, solve
+from drivers.ardrone.options import ardrone_options
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.geometry import Rotation
@@ -339,11 +340,11 @@ def test_the_delay_is_written_into_a_copy_of_the_settings(recorded_rig, tmp_path
     words = ["calibrate", "delay", str(folder / "flight.mcap"), "--config", str(rig), "--out", str(out), "--json"]
     assert main(words) == 0
     reported = json.loads(capsys.readouterr().out)
-    was = settings.vehicle.video_delay_s  # type: ignore[union-attr]
+    was = ardrone_options(settings.vehicle).video_delay_s
     assert reported["delay_s"] == pytest.approx(was - 0.03, abs=0.004)
     assert reported["sigma_s"] < 0.002
     new = load(str(out))
-    assert new.vehicle.video_delay_s == pytest.approx(reported["delay_s"], abs=1e-4)  # type: ignore[union-attr]
+    assert ardrone_options(new.vehicle).video_delay_s == pytest.approx(reported["delay_s"], abs=1e-4)
     assert new.estimator.ekf.sigma_delay_s < 0.005
     assert "# The simulated AR.Drone on this machine" in out.read_text(encoding="utf-8")
 

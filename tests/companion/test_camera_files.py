@@ -155,6 +155,6 @@ def test_a_lens_that_nobody_measured_is_named() -> None:
     settings, shipped = load("raspberry_ardupilot"), SHIPPED / "cameras/usb_640x480.toml"
     line = "distances may be 5 % off: decklander calibrate camera"
     assert [line in said for said in lens_assumed(read_camera(shipped))] == [True]
-    assert any(line in said for said in remarks(settings, SHIPPED / "sim.toml"))
+    assert any(line in said for said in remarks(settings))
     assert any(line in said for said in files_of(settings).lens_assumed)
     assert lens_assumed(CAMERA) == ()

@@ -8,6 +8,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.settings.load import camera_model, load, pad_model
+from drivers.mavlink.options import autopilot_of
 from estimator.vision.pad.fiducial import PaintedFiducial
 
 CONF = """[Defaults]
@@ -55,7 +56,8 @@ def test_settings_are_ours_and_good(tmp_path: Path, capsys, name: str, text: str
     assert left in capsys.readouterr().out
     assert main(["config", "check", str(tmp_path / "rig.toml")]) == 0
     made = load(tmp_path / "rig.toml")
-    assert (made.vehicle.links, made.vehicle.system_id) == vehicle
+    autopilot = autopilot_of(made.vehicle)
+    assert (autopilot.links, autopilot.system_id) == vehicle
     assert (made.camera.source, made.camera.device, made.camera.rate_hz) == camera
     assert (camera_model(made).fx == 500.0) is (name == "v.conf")
     tags = [r for r in pad_model(made).regions if isinstance(r, PaintedFiducial)]

@@ -8,10 +8,11 @@ from unittest.mock import patch
 import cv2
 import pytest
 
+from companion.cycle.ports import VehicleLink
 from companion.facts import encode
 from companion.guidance.pilot import make_pilot
 from companion.recording.reading import RecordedFrame
-from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.model import Settings
 from companion.settings.service import RestartOptions
 from companion.tools.replay.engine import Replay

@@ -16,10 +16,11 @@ from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.base.observer import Decision, NullObserver
 from companion.base.orders import OperatorOrder
+from companion.cycle.ports import Assembly, VehicleLink
 from companion.facts import encode
 from companion.guidance.pilot import Look, Pilot, make_pilot
 from companion.recording.decode import frame_times
-from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import ExposurePart, vehicle_parts
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, pad_model
@@ -434,6 +435,6 @@ def test_the_service_has_the_part_where_the_settings_ask_for_it() -> None:
     own = structs.replace(SETTINGS, camera=CameraSettings("sim", source="v4l2", device="Test camera"))
     for settings, there in ((SETTINGS, True), (own, False)):
         health = Health(SystemClock())
-        parts: Any = vehicle_parts(settings, PILOT, health, SystemClock())
+        parts: Any = vehicle_parts(Assembly(settings, PILOT, health, SystemClock()))
         assert any(isinstance(observer, ExposurePart) for observer in parts.observers) is there
         assert ("exposure" in health.snapshot().counters) is there

@@ -19,6 +19,7 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, Orde
 from companion.base.watchdog import Pulse
 from companion.parts.live.part import LiveFeed
 from companion.parts.mavlink.bridge import BridgePart
+from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
@@ -253,7 +254,9 @@ def settings_with_everything(folder: Path) -> Settings:
     return msgspec.structs.replace(
         sim,
         recorder=msgspec.structs.replace(sim.recorder, enabled=True, folder=str(folder / "recordings"), frames="none"),
-        mqtt=msgspec.structs.replace(sim.mqtt, transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")),
+        mqtt=msgspec.structs.replace(
+            sim.of(MqttSettings), transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")
+        ),
         http=HttpSettings(endpoint="http", port=0, token_file=str(token), foxglove=True),
         bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
     )
@@ -299,7 +302,7 @@ def test_the_services_own_parts_cannot_touch_the_flight(method, tmp_path, monkey
 
 def test_wrong_settings_of_a_part_are_found_before_the_service_begins(tmp_path: Path) -> None:
     settings_of = settings_with_everything(tmp_path)
-    secret = msgspec.structs.replace(settings_of.mqtt, user="x", password_file=str(tmp_path / "none"))
+    secret = msgspec.structs.replace(settings_of.of(MqttSettings), user="x", password_file=str(tmp_path / "none"))
     vehicle = FakeFlight(VirtualClock())
     with pytest.raises(BadInput, match="password"):
         service.make_daemon(msgspec.structs.replace(settings_of, mqtt=secret), SeeingPilot(vehicle))

@@ -9,7 +9,8 @@ import pytest
 from companion.base.mission import FLOWN, State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
-from companion.service.assemble import FlightKeeper, keeper_of, no_modes
+from companion.service.flight_keeper import FlightKeeper, keeper_of
+from drivers.vehicle import VehicleOptions
 from estimator.contracts.commands import Hover, Velocity
 from tests.companion.test_safety import Loop
 from tests.make import ns
@@ -89,9 +90,20 @@ def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_tak
         assert found.height_m == (None if known_m is None else pytest.approx(known_m, abs=0.1))
 
 
+class Vehicle(VehicleOptions, frozen=True):
+    called: str
+
+    @property
+    def name(self) -> str:
+        return self.called
+
+    def modes_left(self, mode: str) -> tuple[str, ...]:
+        return (mode, "brake")
+
+
 async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
-    path, first, first_one = tmp_path / "flight", Loop(), "AR.Drone at 1.2.3.4"
-    keeper = FlightKeeper(path, first.pilot, first_one, "boot", lambda mode: (mode, "brake"))
+    path, first, first_one = tmp_path / "flight", Loop(), Vehicle("the first one")
+    keeper = FlightKeeper(path, first.pilot, first_one, "boot")
     texts = set()
     for _ in range(100):
         first.tick()
@@ -99,9 +111,9 @@ async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_
         await until(lambda: not keeper._writer.busy)
         texts.add(path.read_bytes())
     assert 2 <= len(texts) < 20
-    for vehicle, boot, used in ((first_one, "boot", True), ("another", "boot", False), (first_one, "b", False)):
+    for vehicle, boot, used in ((first_one, "boot", True), (Vehicle("another"), "boot", False), (first_one, "b", False)):
         second: Pilot = Loop().pilot
-        FlightKeeper(path, second, vehicle, boot, no_modes)
+        FlightKeeper(path, second, vehicle, boot)
         assert (second.landing.before is not None) is used
         assert second.landing.before is None or second.landing.before.modes == ("hovering", "brake")
 
@@ -116,17 +128,17 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
     (tmp_path / "flight").write_bytes(text)
     pilot = Loop().pilot
     with caplog.at_level(logging.ERROR):
-        FlightKeeper(tmp_path / "flight", pilot, "v", "b", no_modes)
+        FlightKeeper(tmp_path / "flight", pilot, Vehicle("v"), "b")
     assert pilot.landing.before is None
     assert str(tmp_path / "flight") in caplog.text
 
 
 async def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     loop = Loop()
-    keeper = keeper_of(loop.pilot, "v", {"STATE_DIRECTORY": str(tmp_path / "absent")}, no_modes)
+    keeper = keeper_of(loop.pilot, Vehicle("v"), {"STATE_DIRECTORY": str(tmp_path / "absent")})
     for _ in range(60):
         loop.tick()
         keeper.on_decision(loop.pilot.decide(loop.now))
         await until(lambda: not keeper._writer.busy)
     assert caplog.text.count("cannot be written") == 1
-    assert keeper_of(loop.pilot, "v", {}, no_modes) is None
+    assert keeper_of(loop.pilot, Vehicle("v"), {}) is None

@@ -14,8 +14,9 @@ from companion.base.http_server import HttpServer
 from companion.cli.main import main
 from companion.parts.mavlink.signed_links import signed_links
 from companion.parts.mqtt.connection import BrokerEndpoint, renewed_endpoint
+from companion.parts.mqtt.options import MqttSettings
 from companion.settings.files import Renewed
-from companion.settings.links import HttpSettings, MqttSettings
+from companion.settings.links import HttpSettings
 from drivers.clock import SystemClock
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import mav

@@ -35,7 +35,7 @@ from companion.settings.model import Settings, in_file
 from companion.settings.remarks import remarks, without_effect
 from companion.settings.schema import unit_of, walk
 from companion.settings.sound import SOUND, Sound, beyond_sound
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from estimator.contracts.address import masked, raw
 from estimator.contracts.errors import BadInput
 from estimator.ekf import EkfOptions
@@ -90,15 +90,6 @@ def test_a_refusal_names_file_key_unit_range_and_what_was_found(changes: dict[st
     output = refusal(minimal(**changes))
     assert output.startswith("rig.toml: ")
     assert text in output
-
-
-def test_a_table_that_has_another_name_now_is_read_and_named(tmp_path: Path) -> None:
-    (file := tmp_path / "rig.toml").write_text(f'{MINIMAL}[metrics]\nendpoint = "http"\n')
-    settings = load(file)
-    assert settings == from_mapping(minimal(http__endpoint="http", http__page=False, http__port=9464), "x")
-    assert remarks(settings, file) == ("[metrics] is called [http] now (docs/page.md)",)
-    with pytest.raises(BadInput, match=r"metrics is called http now, and there is such a table too"):
-        from_file(minimal(http__endpoint="off", metrics__endpoint="http"), "x")
 
 
 def test_a_missing_table_says_what_it_needs() -> None:
@@ -255,7 +246,7 @@ def test_paths_are_relative_to_the_settings_file(tmp_path: Path, monkeypatch: py
     settings = load(rig)
     assert camera_model(settings).width == 800
     assert settings.pad.file == "thesis"
-    assert settings.vehicle.signing_key_file == str(tmp_path / "rigs/link.key")
+    assert autopilot_of(settings.vehicle).signing_key_file == str(tmp_path / "rigs/link.key")
 
 
 @pytest.mark.parametrize(
@@ -406,7 +397,7 @@ def test_a_limit_that_is_wider_than_its_meaning_is_named_with_the_reason(sound: 
     assert isinstance(kind, msgspec.inspect.FloatType | msgspec.inspect.IntType)
     assert kind.le is not None
     settings = widened(sound.key, int(kind.le) if isinstance(kind, msgspec.inspect.IntType) else float(kind.le))
-    (line,) = [line for line in remarks(settings, SHIPPED / "sim.toml") if sound.key in line]
+    (line,) = [line for line in remarks(settings) if sound.key in line]
     assert line.startswith(f"{in_file(sound.key)} is {kind.le:g}, beyond ")
     assert sound.beyond in line
     assert f"{in_file(sound.key)} is" not in "".join(beyond_sound(widened(sound.key, field.default))), "the default is sound"
@@ -423,13 +414,13 @@ def test_a_limit_that_is_wider_than_its_meaning_is_named_with_the_reason(sound: 
 )
 def test_two_serial_adapters_named_by_numbers_may_change_places(link: str, bus: str, named: bool) -> None:
     rig = minimal("mavlink", vehicle__links=f"serial:///dev/{link}:57600", vessel__bus=f"serial:///dev/{bus}:115200")
-    assert any("may change places" in line for line in remarks(from_mapping(rig, "x"), SHIPPED / "sim.toml")) == named
+    assert any("may change places" in line for line in remarks(from_mapping(rig, "x"))) == named
 
 
 def test_an_autopilots_vehicle_on_an_ardrones_feet_is_named() -> None:
     def said(profile: Any, feet_m: float) -> str:
         guidance = {"guidance": {"cone": {"feet_below_m": feet_m}}}
-        return "".join(remarks(from_mapping(minimal(profile) | guidance, "x"), SHIPPED / "sim.toml"))
+        return "".join(remarks(from_mapping(minimal(profile) | guidance, "x")))
 
     assert "guidance.cone.feet_below_m is 0.045 m, an AR.Drone's" in said("mavlink", 0.045)
     assert "feet_below_m" not in said("mavlink", 0.1) + said("ardrone", 0.045)

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
+from companion.parts.mqtt.options import MqttSettings
 from companion.service.sole_service import sole_service
-from companion.settings.links import MqttSettings
 from companion.settings.load import SHIPPED, load
 from companion.settings.model import Settings
 from drivers.ardrone.options import ArDroneOptions

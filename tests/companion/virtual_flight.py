@@ -12,8 +12,9 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.cycle.ports import VehicleLink
 from companion.guidance.pilot import Look, Pilot
-from companion.service.daemon import Daemon, VehicleLink
+from companion.service.daemon import Daemon
 from companion.settings.guidance import GuidanceOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.commands import Command, Velocity

@@ -16,7 +16,7 @@ from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
 from companion.cli.main import COMMANDS
 from companion.guidance.operator import order_time, precedence
 from companion.parts.mqtt.messages import PUBLISHED
-from companion.settings.model import EXPERT, RENAMED, Settings, in_file
+from companion.settings.model import EXPERT, Settings, in_file
 from companion.settings.schema import variants, walk
 from supply import safety
 
@@ -213,7 +213,7 @@ def is_file(text: str) -> bool:
 
 NAMED: dict[str, tuple[str, Callable[[str], bool]]] = {
     "settings": (r"[a-z_0-9]+(\.[a-z_0-9]+)+( = .*)?", is_setting),
-    "tables": (r"\[[a-z_0-9.]+\]", lambda text: text[1:-1] in keys() | RENAMED.keys() | {"project.urls"}),
+    "tables": (r"\[[a-z_0-9.]+\]", lambda text: text[1:-1] in keys() | {"project.urls"}),
     "metrics": (r"decklander_[a-z_]+", lambda name: name in source("companion/parts/metrics/*.py")),
     "named values, types of the core": (
         r"dl_[a-z_]+",

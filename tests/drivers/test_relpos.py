@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.parts.ship.options import RtkOptions
 from companion.parts.ship.part import RtkPart
-from companion.settings.vessel import RtkOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Line
 from drivers.relpos import RelposOptions, RelposReader

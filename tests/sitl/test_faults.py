@@ -245,7 +245,7 @@ def test_a_refusal_says_what_guidance_reported_and_what_became_of_the_frames(mon
 
 def test_the_simulated_drone_takes_every_key_of_the_configuration_or_the_run_ends() -> None:
     flight, _ = fly_calm(kinds.FlowBlind(at_s=9.0), 0.02)
-    assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.euler_angle_max_deg), abs=1e-5)  # type: ignore[union-attr]
+    assert flight.world.limits.euler_angle_max_rad == pytest.approx(math.radians(SIM.vehicle.tilt_max_deg), abs=1e-5)
     assert flight._drone.state.counters["config_set"] == 11
     values = msgspec.structs.asdict(SIM.vehicle)
     steep = msgspec.structs.replace(SIM, vehicle=tuned(ArDroneOptions, **values, com_watchdog_s=61))

@@ -15,6 +15,7 @@ import pytest
 from companion.base.health import Health
 from companion.base.mission import ENDED, State
 from companion.parts.metrics.endpoint import families
+from companion.parts.mqtt.options import MqttSettings
 from companion.settings.files import CREDENTIAL
 from companion.settings.links import HttpSettings, on_loopback
 from companion.settings.load import load
@@ -113,14 +114,14 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     assert isinstance(rig.vehicle, ArDroneOptions)
     (bridge,) = rig.bridge.endpoints()
     assert f":{bridge.port}/udp" in text
-    assert {rig.vehicle.host, rig.mqtt.host} <= services
+    assert {rig.vehicle.host, rig.of(MqttSettings).host} <= services
     assert rig.http.port == HttpSettings().port
     assert f"daemon:{rig.http.port}" in (COMPOSE / "prometheus.yml").read_text()
     assert f"127.0.0.1:{rig.http.port}/health" in (ROOT / "Dockerfile").read_text()
     assert f"credentials_file: {rig.http.token_file}" in (COMPOSE / "prometheus.yml").read_text()
     assert rig.http.token_file in (COMPOSE / "broker.sh").read_text()
-    assert rig.mqtt.drone == rig.mqtt.user, "the access list gives a user the subtree of its name"
-    assert rig.mqtt.user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
+    assert rig.of(MqttSettings).drone == rig.of(MqttSettings).user, "the access list gives a user the subtree of its name"
+    assert rig.of(MqttSettings).user in re.findall(r"for user in (.*); do", (COMPOSE / "broker.sh").read_text())[0].split()
 
 
 def told() -> set[str]:

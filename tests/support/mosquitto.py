@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, Publication, connect
-from companion.settings.links import MqttSettings
+from companion.parts.mqtt.options import MqttSettings
 from tests.support.waiting import accepts, free_port, wait_until
 
 MOSQUITTO = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")

@@ -15,11 +15,11 @@ from companion.base.observer import Decision
 from companion.parts.mqtt.connection import renewed_endpoint
 from companion.parts.mqtt.encode import PendingEvent
 from companion.parts.mqtt.messages import Topics
+from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import CommandHandler, MqttPart
 from companion.parts.mqtt.spool import Spool
 from companion.settings import files
-from companion.settings.links import MqttSettings
 from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity

@@ -19,6 +19,7 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder
 from companion.base.worker import Worker
+from companion.cycle.ports import Assembly
 from companion.facts import encode
 from companion.facts.wire import RequestRate
 from companion.guidance.pilot import Pilot
@@ -27,6 +28,7 @@ from companion.recording import foxglove_protocol as protocol
 from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
 from companion.recording.message_encoder import MessageEncoder
 from companion.settings.links import HttpSettings
+from drivers.clock import wall_offset_ns
 from drivers.mailbox import Line
 from estimator.contracts.estimates import FusionResult, Verdict
 from estimator.contracts.samples import Attitude, Sample
@@ -349,3 +351,13 @@ class FoxgloveEndpoint:
         for viewer in self._viewers:
             for topic, at_ns, payload in messages:
                 viewer.show(topic, at_ns, payload)
+
+
+def join(service: Assembly) -> None:
+    """Serve the flight to viewers on the HTTP port, if there is one."""
+    if (server := service.server) is None:
+        return
+    name, offset_ns = service.settings.vehicle.name, wall_offset_ns(service.clock)
+    data = FoxgloveEndpoint(server, service.pilot, service.health, service.clock, name, offset_ns)
+    service.observers.append(data.feed)
+    service.extras["foxglove"] = data.run

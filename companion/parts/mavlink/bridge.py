@@ -16,13 +16,16 @@ from functools import partial
 import numpy as np
 
 from companion.base.observer import NullObserver
-from companion.base.orders import OperatorOrder
-from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera
+from companion.base.orders import OperatorOrder, OrderSender, OrderSource
+from companion.cycle.ports import Assembly
+from companion.guidance.pilot_operator import FlightWatch, PilotOperator
+from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera, shown_camera
 from companion.parts.mavlink.commands import ACCEPTED, CAPABILITIES, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
 from companion.parts.mavlink.component import MavSeverity, StatusTexts
 from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
-from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables
+from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables, tunables
+from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import AccessLevel, NamedSenders
 from drivers.mavlink.dialect import ComponentMetadata, Message, mav, ms_since_boot
@@ -304,3 +307,21 @@ class BridgePart(NullObserver):
                 if part is not None:
                     on_message = partial(part.on_message, received, self._system, self._clock.now())
                     links.contained.run(received.place, received.source_text, on_message)
+
+
+def join(service: Assembly) -> None:
+    """Show a vehicle that speaks no MAVLink to ground stations."""
+    settings, pilot, clock = service.settings, service.pilot, service.clock
+    flight = FlightWatch(pilot, clock)
+    bridge = BridgePart(
+        settings.bridge,
+        signed_links(settings.bridge),
+        clock,
+        order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
+        below=lambda: flight.below(clock.now())[0],
+        tap=service.tap,
+        show=shown_camera(service),
+        store=tunables(settings, pilot),
+    )
+    service.observers += [bridge, flight]
+    service.add("bridge", bridge)

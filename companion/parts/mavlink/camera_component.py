@@ -16,6 +16,7 @@ from functools import partial
 from typing import Protocol, TypeAlias
 
 from companion.base.version import version
+from companion.cycle.ports import Assembly
 from companion.parts.mavlink.commands import ACCEPTED, UNSUPPORTED, Offered
 from companion.settings.links import VideoStreamOptions
 from drivers.mavlink.access import AccessLevel, Source
@@ -166,3 +167,11 @@ async def showing(show: ShowCamera | None, autopilot: Autopilot, clock: Clock) -
     autopilot.add_listener(lambda received: camera.on_message(received, links.identity[0], clock.now()))
     async with running_beside([("mavlink-camera", tick())]):
         yield
+
+
+def shown_camera(service: Assembly) -> ShowCamera | None:
+    """Return what makes the component of a picture that is streamed; None if none is."""
+    if (video := service.video) is None:
+        return None
+    camera, options = service.pilot.camera, service.settings.video_stream
+    return lambda send: CameraComponent(send, camera, options, video.size, lambda: video.flows)

@@ -15,9 +15,9 @@ from msgspec import structs
 
 from companion.base.health import GIMBAL, Health
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
-from companion.guidance.pilot import Pilot
+from companion.cycle.ports import Assembly, VehicleParts
 from companion.guidance.pilot_operator import PilotOperator
-from companion.parts.mavlink.camera_component import ShowCamera, showing
+from companion.parts.mavlink.camera_component import showing, shown_camera
 from companion.parts.mavlink.commands import PilotTower, link_counters
 from companion.parts.mavlink.component import PARAMETERS, Component
 from companion.parts.mavlink.handover import Handover
@@ -26,7 +26,6 @@ from companion.parts.mavlink.parameters import tunables
 from companion.parts.mavlink.rc_switch import RcSwitch
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.model import Settings
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather import Notes, snapshot_of
 from companion.tools.doctor.rules_links import WATCHED
@@ -35,8 +34,8 @@ from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, links_of, open_autopilot
 from drivers.mavlink.custody import Authority
 from drivers.mavlink.gimbal import Gimbal, tended
-from drivers.mavlink.links import Link, Links, Tap
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.links import Link, Links
+from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from drivers.mavlink.samples import LocalPosition
 from drivers.mavlink.take_off import Rested
 from drivers.reconnect import Repeated, running_beside
@@ -194,31 +193,14 @@ def authority_of(guidance: GuidanceOptions) -> Authority:
 class AutopilotPart:
     """Opens the autopilot with our component on its links. The component is an observer of the service.
 
-    Args:
-        recording: switches the recorder; None if there is no recorder.
-        tap: receives every MAVLink message; None if no one listens.
-        show: makes the camera's component; None if no picture is streamed.
-
     Raises:
         BadInput: a signing key that cannot be read.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        vehicle: AutopilotOptions,
-        pilot: Pilot,
-        health: Health,
-        clock: Clock,
-        recording: Callable[[bool], str | None] | None = None,
-        tap: Tap | None = None,
-        show: ShowCamera | None = None,
-    ) -> None:
-        self._pilot = pilot
-        self._health = health
-        self._clock = clock
-        self._tap = tap
-        self._show = show
+    def __init__(self, service: Assembly, vehicle: AutopilotOptions) -> None:
+        settings, pilot, health, clock = service.settings, service.pilot, service.health, service.clock
+        self._pilot, self._health, self._clock = pilot, health, clock
+        self._tap, self._show = service.tap, shown_camera(service)
         self._open: Autopilot | None = None
         self._links: Links | None = None
         self._options = vehicle
@@ -229,7 +211,7 @@ class AutopilotPart:
             Outputs(
                 settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s, self._lead(settings.guidance)
             ),
-            PilotTower(pilot, lambda: self.component.belief, clock, recording),
+            PilotTower(pilot, lambda: self.component.belief, clock, service.recording),
             tunables(settings, pilot),
             believe=pilot.belief,
             clock=clock,
@@ -412,3 +394,11 @@ def _matters(finding: Finding, snapshot: Snapshot) -> bool:
     if any(one.name == finding.rule for one in snapshot.id_conflicts):
         return True
     return finding.rule != "link-silent" or snapshot.autopilot is None
+
+
+def make_vehicle(service: Assembly) -> VehicleParts:
+    """Return the autopilot of the settings, with our component on its links."""
+    options = autopilot_of(service.settings.vehicle)
+    assert options is not None
+    part = AutopilotPart(service, options)
+    return VehicleParts(part.open, (part.component,), lambda: part.autopilot)

@@ -15,6 +15,7 @@ from prometheus_client.registry import Collector, CollectorRegistry
 from companion.base.health import EDGES_S, Health, HealthSnapshot, MissionHealth, missing_inputs
 from companion.base.http_server import HttpServer
 from companion.base.watchdog import stuck
+from companion.cycle.ports import Assembly
 
 __all__ = ["CONTENT_TYPE", "text"]
 
@@ -158,3 +159,10 @@ class MetricsEndpoint:
         if "Authorization" in request.headers or not self._server.has_token:
             output |= {"down": down} if self._server.allows(request) else {}
         return web.Response(text=json.dumps(output) + "\n", status=200 if ok else 503, content_type="application/json")
+
+
+def join(service: Assembly) -> None:
+    """Open the HTTP port of the settings, and serve metrics and health on it."""
+    service.server = HttpServer(service.settings.http, service.health)
+    service.extras["http"] = service.server.run
+    MetricsEndpoint(service.server, service.health)

@@ -28,12 +28,15 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from companion.parts.mqtt.options import MqttSettings
 from companion.settings import files
-from companion.settings.links import MqttSettings
-from companion.settings.referenced_files import tls_context
+from companion.settings.capabilities import Reference
+from companion.settings.certificates import add_certificate, reason_of
+from companion.settings.model import Settings
 from drivers.device_errors import device_fault
+from drivers.files import Largest, refuse_special
 from drivers.wires import AddressInfo, resolve
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 
 INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
@@ -416,3 +419,33 @@ async def _enter(connection: Connection) -> Exception | None:
         cause = why.__context__  # the library keeps the words of a system's error alone
         return cause if isinstance(cause, OSError) else why
     return None
+
+
+def references(settings: Settings) -> Iterator[Reference]:
+    """Yield the secrets and certificates that the settings name."""
+    m = settings.of(MqttSettings)
+    yield "mqtt.password_file", (m.password_file,), lambda: files.text(m.password_file, "mqtt.password_file")
+    yield "mqtt.command_key_file", (m.command_key_file,), lambda: files.key(m.command_key_file, "mqtt.command_key_file")
+    yield "mqtt.ca_file", (m.ca_file, m.certificate_file, m.key_file), lambda: tls_context(m)
+
+
+def tls_context(settings: MqttSettings) -> ssl.SSLContext | None:
+    """Return a context for TLS 1.2 or newer that checks the broker's name against its certificate, or None for plain TCP.
+
+    Raises:
+        BadInput: a file of certificates or keys that cannot be read or used.
+    """
+    if settings.transport != "tls":
+        return None
+    ca = files.find(settings.ca_file, "mqtt")
+    if ca is not None:
+        refuse_special(ca, Largest.CERTIFICATE, f"mqtt.ca_file: {ca}")
+    try:
+        context = ssl.create_default_context(cafile=None if ca is None else str(ca))
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        if ca is not None:  # one's own may lack extensions that Python demands from 3.13 on
+            context.verify_flags &= ~ssl.VERIFY_X509_STRICT
+    except (OSError, ValueError) as why:
+        raise BadInput(f"mqtt.ca_file: {ca}: {reason_of(why)}") from why
+    add_certificate(context, settings, "mqtt")
+    return context

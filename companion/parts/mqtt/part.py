@@ -25,10 +25,12 @@ import aiomqtt
 import msgspec
 import numpy as np
 
+from companion.base.containment import RestartablePart
 from companion.base.health import Health
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.version import version
+from companion.cycle.ports import Assembly
 from companion.facts.wire import RequestRate, read
 from companion.guidance.operator.order_time import given_at
 from companion.guidance.pilot import Pilot
@@ -52,10 +54,10 @@ from companion.parts.mqtt.messages import (
     Topics,
     encode,
 )
+from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.spool import Spool
 from companion.settings import files
-from companion.settings.links import MqttSettings
 from drivers.mailbox import Line
 from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
 from drivers.reconnect import BackOff, reconnect
@@ -624,3 +626,14 @@ def spool_folder(settings: MqttSettings, environment: Mapping[str, str] = os.env
         return Path(settings.spool)
     state = environment.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(state) / "mqtt" if state else None
+
+
+def join(service: Assembly) -> None:
+    """Add telemetry and commands through the broker."""
+    settings, pilot, health = service.settings, service.pilot, service.health
+    ship = service.ship_reports() if settings.vessel.mqtt else None
+    mqtt = RestartablePart(
+        "mqtt", lambda: make_mqtt(settings.of(MqttSettings), pilot, health, service.clock, service.recording, ship)
+    )
+    service.observers.append(mqtt)
+    service.extras["mqtt"] = mqtt.run

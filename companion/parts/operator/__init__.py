@@ -1,1 +1,1 @@
-"""The senders of orders beside the links: a local socket for terminals, and a gamepad."""
+"""The local socket by which terminals on this computer give orders."""

@@ -22,7 +22,6 @@ from companion.facts.wire import (
     line_of,
 )
 from companion.settings.model import Settings
-from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput, Recoverable, refused
 
 OFF, AUTO = "off", "auto"
@@ -93,9 +92,7 @@ def answers(path: Path) -> bool:
 
 
 def _name(settings: Settings) -> str:
-    v = settings.vehicle
-    vehicle = f"{v.host}-{v.at_port}" if isinstance(v, ArDroneOptions) else f"mavlink-{v.component_id}-{v.system_id}"
-    return "".join(c if c.isalnum() or c in ".-" else "_" for c in vehicle)[:60] + ".sock"
+    return "".join(c if c.isalnum() or c in ".-" else "_" for c in settings.vehicle.address)[:60] + ".sock"
 
 
 def _sockets(folder: Path) -> list[Path]:

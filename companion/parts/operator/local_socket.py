@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from companion.base.orders import OrderSender, OrderSource
+from companion.cycle.ports import Assembly
 from companion.facts.wire import (
     LINE_MAX,
     OrderRequest,
@@ -27,7 +28,7 @@ from companion.facts.wire import (
 )
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
-from companion.parts.operator.client import answers
+from companion.parts.operator.client import answers, socket_path
 from estimator.contracts.errors import Recoverable, unusable
 from estimator.contracts.time import Clock
 
@@ -184,3 +185,11 @@ def _peer(connected: socket.socket) -> str:
     except OSError:
         return "unknown"
     return f"process {pid}, user {uid}"
+
+
+def join(service: Assembly) -> None:
+    """Add the socket, if the settings want one."""
+    if (path := socket_path(service.settings)) is not None:
+        terminals = OperatorSocket(path, service.pilot, service.clock)
+        service.observers.append(terminals)
+        service.add("operator", terminals)

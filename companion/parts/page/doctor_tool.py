@@ -11,7 +11,7 @@ from companion.parts.page.messages import ExaminedReport, ExamineRequest, PageFi
 from companion.parts.page.viewer import PageService, PageViewer, Tool
 from companion.settings.model import Settings
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import autopilot_of
 from estimator.contracts.time import MonoNs, seconds_between
 
 IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
@@ -69,13 +69,13 @@ class DoctorTool(Tool):
     async def _examined(self) -> ExaminedReport:
         """Examine the setup, which takes some seconds."""
         snapshot, service = Snapshot(0.0), self._service
-        autopilot, vehicle = service.autopilot(), service.settings.vehicle
-        if autopilot is not None and isinstance(vehicle, AutopilotOptions):
+        autopilot, vehicle = service.autopilot(), autopilot_of(service.settings.vehicle)
+        if autopilot is not None and vehicle is not None:
             from companion.tools.doctor.gather import examine_open
 
             channel = service.settings.operator.switch.channel
             snapshot = await examine_open(autopilot, vehicle.system_id, service.clock, LISTENING_S, channel)
-        elif isinstance(vehicle, AutopilotOptions):
+        elif vehicle is not None:
             part = service.health.snapshot().parts.get("vehicle")
             why = "" if part is None else part.last_error
             snapshot = Snapshot(0.0, (LinkSnapshot(vehicle.links, down=why or "is not open yet"),))

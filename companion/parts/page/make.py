@@ -1,11 +1,13 @@
 """Make the page with its tools from the settings of a service: the guided calibration and the doctor among them."""
 
+from companion.cycle.ports import Assembly
 from companion.parts.page.calibration_tool import CalibrationTool
 from companion.parts.page.doctor_tool import DoctorTool
 from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.page.recordings import Recordings
 from companion.parts.page.settings_tool import SettingsTool
 from companion.parts.page.viewer import PageService
+from companion.settings.settings_file import SettingsFile
 
 
 def make_page(service: PageService, vehicle: str) -> PageEndpoint:
@@ -15,3 +17,15 @@ def make_page(service: PageService, vehicle: str) -> PageEndpoint:
         vehicle: the vehicle's name for the page.
     """
     return PageEndpoint(service, vehicle, [tool(service) for tool in (DoctorTool, SettingsTool, CalibrationTool, Recordings)])
+
+
+def join(service: Assembly) -> None:
+    """Serve the page on the HTTP port."""
+    assert service.server is not None
+    assert service.vehicle is not None
+    settings, path = service.settings, service.settings_file
+    file = None if path is None else SettingsFile(path)
+    of_page = PageService(service.server, settings, service.pilot, service.health, service.clock, service.vehicle.autopilot, file)
+    page = make_page(of_page, settings.vehicle.name)
+    service.observers.append(page)
+    service.extras["page"] = page.run

@@ -84,7 +84,7 @@ class SettingsTool(Tool):
             return SavedSettings(saved=False, text=f"Not saved: {masked(words)}", line=line_of(request.text, words))
         log.warning("settings saved from the page by %s into %s", who, self._file.path)
         kept = f"the one before is {self._file.path.name}{BEFORE}"
-        notes = "".join(f" {line}." for line in remarks(checked, self._file.path))
+        notes = "".join(f" {line}." for line in remarks(checked))
         return SavedSettings(saved=True, text=f"Saved; {kept}. {AFTERWARDS}.{masked(notes)}", revision=revision)
 
 

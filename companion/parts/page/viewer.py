@@ -25,7 +25,6 @@ from companion.parts.page.messages import PageEvent, PageRequest, PageState, Too
 from companion.recording.frame_encoder import FrameEncoder
 from companion.settings.model import Settings
 from companion.settings.settings_file import SettingsFile
-from drivers.ardrone.options import ArDroneOptions
 from drivers.mailbox import Latest, Line
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
@@ -176,10 +175,7 @@ class PageService(Struct, frozen=True, eq=False):
         """The vehicle's way on once the service has ended, in words."""
         if self.pilot.vehicle is not None and self.pilot.vehicle.flying is False:
             return "the vehicle stands on the ground"
-        if isinstance(self.settings.vehicle, ArDroneOptions):
-            alone_s = 2 * self.settings.vehicle.com_watchdog_s
-            return f"the drone hovers, and lands where it is after {alone_s:g} s if nobody else flies it by then"
-        return "the autopilot has the vehicle"
+        return self.settings.vehicle.left_alone
 
     @property
     def armed(self) -> bool:

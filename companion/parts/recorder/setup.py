@@ -1,7 +1,6 @@
 """Make the recorders that the settings describe, restartable beside a flight, and the metadata of every recording."""
 
 import platform
-import time
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Literal
 
 from companion.base.containment import CallGuard, RestartablePart
 from companion.base.health import Health
+from companion.cycle.ports import Assembly
 from companion.parts.recorder.folder import Folder, SingleFile, start_of
 from companion.parts.recorder.recorder import PART, Recorder
 from companion.recording.channels import CAMERA, PAD, SETTINGS
@@ -17,6 +17,7 @@ from companion.settings import schema
 from companion.settings.load import body_camera, find_file, pad_model
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm, RecorderOptions
+from drivers.clock import wall_offset_ns
 from estimator.contracts.time import Clock, MonoNs
 from estimator.vision.camera.camera import Camera
 
@@ -62,11 +63,6 @@ def recorder_of(settings: Settings, clock: Clock, health: Health) -> Recorder:
     return recorder
 
 
-def wall_offset_ns(clock: Clock) -> int:
-    """Return the current offset from the clock's instants to Unix time, ns, in whole microseconds."""
-    return (time.time_ns() - clock.now()) // 1000 * 1000
-
-
 def recorder_to_file(path: Path, camera: Camera, described: About, *, frames: FrameForm = "jpeg", live: bool = False) -> Recorder:
     """Return a recorder of one flight into one file. A flight in virtual time waits for the disk; a `live` one never does."""
     options = RecorderOptions(frames=frames)
@@ -100,3 +96,12 @@ class RecorderBeside(RestartablePart[Recorder]):
         if self._wanted is not None:
             recorder.switch(self._wanted)
         return recorder
+
+
+def join(service: Assembly) -> None:
+    """Add the recorder, which an operator may switch."""
+    settings, clock, health = service.settings, service.clock, service.health
+    recorder = RecorderBeside(lambda: recorder_of(settings, clock, health), health)
+    service.observers.append(recorder)
+    service.extras[PART] = recorder.run
+    service.recording, service.tap = recorder.switch, recorder.on_link

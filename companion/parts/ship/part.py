@@ -1,12 +1,17 @@
 """Listen to the ship beside the flight: her sentences, her network (NMEA 2000, Signal K), and receivers of relative positions."""
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
 from companion.base.observer import NullObserver
-from companion.settings.vessel import RtkOptions, VesselOptions
+from companion.cycle.ports import Assembly
+from companion.parts.ship.options import RtkOptions
+from companion.settings.capabilities import Reference
+from companion.settings.model import Settings
+from companion.settings.vessel import VesselOptions
 from drivers.endpoint import parse_bus
+from drivers.extras import require
 from drivers.mailbox import Line
 from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, by_source
 from drivers.nmea.ship_bus import BusReader
@@ -162,3 +167,28 @@ class RtkPart(_ShipPart):
             async with open_wire(self._endpoint, self._clock, lambda *data: self._put(self._reader.take(*data))) as wire:
                 log.info("listening for relative positions on %s", self._endpoint)
                 await wire.broken()
+
+
+def join(service: Assembly) -> None:
+    """Add a part for each wire of the ship that the settings name. What several wires report is taken from one of them."""
+    vessel, rtk, choice = service.settings.vessel, service.settings.of(RtkOptions), SourceChoice(log.info)
+    reports, clock = service.ship_reports(), service.clock
+    if vessel.nmea:
+        service.add("sentences", SentencesPart(vessel, choice, reports, clock))
+    if vessel.bus:
+        service.add("bus", BusPart(vessel.bus, vessel.nmea_simulated, choice, reports, clock))
+    for key in ("source", "heading"):
+        if getattr(rtk, key):
+            service.add(f"rtk_{key}", RtkPart(rtk, key, reports, clock))
+
+
+def references(settings: Settings) -> Iterator[Reference]:
+    """Yield what looks for the packages of each wire that the settings name."""
+    vessel, rtk = settings.vessel, settings.of(RtkOptions)
+    if vessel.nmea:
+        yield "vessel.nmea", (), partial(require, f"vessel.nmea {vessel.nmea}", "nmea", "pynmea2", "pyais")
+    if vessel.bus and parse_bus(vessel.bus).signalk is None:
+        yield "vessel.bus", (), partial(require, f"vessel.bus {vessel.bus}", "ship", "nmea2000", "can")
+    for key in ("source", "heading"):
+        if receiver := getattr(rtk, key):
+            yield f"rtk.{key}", (), partial(require, f"rtk.{key} {receiver}", "ship", "pyubx2")

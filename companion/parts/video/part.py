@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from companion.base.observer import NullObserver, ProcessedFrame
 from companion.base.worker import Worker
+from companion.cycle.ports import Assembly
 from companion.guidance.pilot import Pilot
 from companion.recording.frame_encoder import CLOCK_HZ, TimedFrames, prepare
 from companion.settings.links import VideoStreamOptions
@@ -171,3 +172,10 @@ def drawn(processed: ProcessedFrame, belief: RelativeState | None, lean: Rotatio
     level = Rotation.identity() if processed.attitude is None else processed.attitude.R_ned_body.without_heading()
     overlay = Overlay(sightings, belief, level @ lean.inv)
     return annotate(processed.frame.px, overlay, camera, pad)
+
+
+def join(service: Assembly) -> None:
+    """Add the stream, which the vehicle's links then describe to stations."""
+    service.video = video = VideoStreamPart(service.settings.video_stream, service.pilot, service.clock)
+    service.observers.append(video)
+    service.add("video_stream", video)

@@ -25,16 +25,16 @@ from companion.settings.model import Settings
 from companion.settings.vessel import VesselOptions
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import RENAMED, differing, names_in
-from companion.tools.doctor.gather_service import figures, files_of, ship_sources
+from companion.tools.doctor.gather_service import figures, files_of, servers_of, ship_sources
 from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, ShipSource, Snapshot
-from drivers.ardrone.options import ArDroneOptions
 from drivers.camera.open_camera import open_camera
-from drivers.endpoint import NMEA2000, parse_bus, require_ship
+from drivers.endpoint import parse_bus
+from drivers.extras import require
 from drivers.files import Largest, bytes_of
 from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
-from drivers.imports.stamps import Tell
+from drivers.log_stamps import Tell
 from drivers.nmea.sentences import NmeaReader, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
@@ -227,8 +227,8 @@ async def examine_service(
     snapshot = ServiceSnapshot()
     if settings is not None:
         snapshot = await _from_settings(settings, clock, seconds, timeout_s)
-        if broker is None and settings.mqtt.transport != "off":
-            broker = f"{settings.mqtt.host}:{settings.mqtt.port}"
+        servers = [f"{host}:{port}" for host, port in servers_of(settings)]
+        broker = broker or next(iter(servers), None)
     if broker is None:
         return snapshot
     host, _, port = broker.rpartition(":")
@@ -240,10 +240,9 @@ async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeo
     snapshot = files_of(settings)
     if snapshot.camera_fault is not None:
         return snapshot
-    vehicle = settings.vehicle
-    if isinstance(vehicle, ArDroneOptions):
-        fault = await _unreachable(vehicle.host, vehicle.control_port, timeout_s)
-        snapshot = structs.replace(snapshot, drone=f"{vehicle.host}:{vehicle.control_port}", drone_fault=fault)
+    if (probe := settings.vehicle.probe) is not None:
+        host, port = probe
+        snapshot = structs.replace(snapshot, drone=f"{host}:{port}", drone_fault=await _unreachable(host, port, timeout_s))
     scraped = await _scrape(settings, timeout_s)
     if scraped is not None:
         return _of_metrics(snapshot, settings, scraped)
@@ -332,7 +331,7 @@ async def listen(options: VesselOptions, clock: Clock, seconds: float) -> tuple[
     async def bus() -> None:
         address = parse_bus(options.bus)
         if address.signalk is None:
-            require_ship(f"vessel.bus {options.bus}", NMEA2000)
+            require(f"vessel.bus {options.bus}", "ship", "nmea2000", "can")
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await read_bus(address, BusReader(sensors), lambda samples: None, clock, lambda: None)

@@ -11,7 +11,6 @@ from companion.settings.referenced_files import check_files
 from companion.settings.remarks import contradiction, without_effect
 from companion.settings.sound import beyond_sound
 from companion.tools.doctor.snapshot import UNREADABLE, GimbalSnapshot, ServiceSnapshot, ShipSource
-from drivers.ardrone.options import ArDroneOptions
 from estimator.contracts.errors import BadInput
 
 _WITHHELD = "withheld_"
@@ -39,13 +38,16 @@ def running_service(settings: Settings, health: HealthSnapshot) -> ServiceSnapsh
     rates_hz = {kind: flow.rate_hz for kind, flow in health.flows.items() if flow.rate_hz is not None}
     medians_s = {stage: times.p50_s for stage, times in health.stages.items() if times.p50_s is not None}
     snapshot = figures(snapshot, settings, health.counters, rates_hz, medians_s)
-    if settings.mqtt.transport != "off":
-        fault = _fault_of(health, "mqtt")
-        snapshot = structs.replace(snapshot, broker=f"{settings.mqtt.host}:{settings.mqtt.port}", broker_fault=fault)
-    if isinstance(settings.vehicle, ArDroneOptions):
-        drone = f"{settings.vehicle.host}:{settings.vehicle.control_port}"
-        snapshot = structs.replace(snapshot, drone=drone, drone_fault=_fault_of(health, "vehicle"))
+    for host, port in servers_of(settings):
+        snapshot = structs.replace(snapshot, broker=f"{host}:{port}", broker_fault=_fault_of(health, "mqtt"))
+    if (probe := settings.vehicle.probe) is not None:
+        snapshot = structs.replace(snapshot, drone=f"{probe[0]}:{probe[1]}", drone_fault=_fault_of(health, "vehicle"))
     return snapshot
+
+
+def servers_of(settings: Settings) -> list[tuple[str, int]]:
+    """Return host and port of the servers that capabilities connect to."""
+    return [table.server for table in settings.part_tables() if table.server is not None]
 
 
 def _fault_of(health: HealthSnapshot, name: str) -> str | None:
@@ -55,7 +57,7 @@ def _fault_of(health: HealthSnapshot, name: str) -> str | None:
 
 def files_of(settings: Settings) -> ServiceSnapshot:
     """Return the snapshot of the files that settings name. It reads them, so it belongs on a thread."""
-    feet_m = None if isinstance(settings.vehicle, ArDroneOptions) else settings.guidance.cone.feet_below_m
+    feet_m = None if settings.vehicle.has_default_feet else settings.guidance.cone.feet_below_m
     snapshot = ServiceSnapshot(ship_place=contradiction(settings), without_effect=without_effect(settings), feet_below_m=feet_m)
     if (switch := settings.operator.switch).channel and feet_m is not None:
         orders = (switch.low, switch.middle, switch.high)

@@ -24,9 +24,10 @@ from companion.recording.reading import Recording
 from companion.tools.ros2.messages import ENU_NED, KEPT, LEVEL, UP, Message, RosMessages
 from drivers.camera.images import ImageRefused
 from drivers.camera.ros2 import image_px
+from drivers.extras import require
 from drivers.files import Largest, opened, refuse_special, seen_in
-from drivers.imports.stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
-from drivers.ros2 import require_rosbags, typestore
+from drivers.log_stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
+from drivers.ros2 import typestore
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, BodyVelocity, Frame, Imu, Range, Sample
@@ -49,7 +50,7 @@ def export(recording: Recording, folder: Path) -> dict[str, int]:
     Raises:
         BadInput: rosbags is not installed; the folder exists or cannot be written; the recording's camera is not understood.
     """
-    require_rosbags("--format ros2")
+    require("--format ros2", "ros2", "rosbags")
     if folder.exists() or folder.is_symlink():
         raise BadInput(f"{folder}: exists already, and a bag is written into a folder of its own: name another --output")
     offset_ns, camera = recording.offset_ns(), recording.camera()
@@ -140,7 +141,7 @@ def read(path: Path, tell: Tell, topic: str = "") -> Iterator[Sample | Frame]:
     Raises:
         BadInput: rosbags is not installed; the bag cannot be read, or nothing in it is imported.
     """
-    require_rosbags("record import of a bag")
+    require("record import of a bag", "ros2", "rosbags")
     from rosbags.highlevel import AnyReader
 
     with tempfile.TemporaryDirectory(prefix="decklander-") as folder:

@@ -13,7 +13,7 @@ from typing import Any
 
 from drivers.imports.dataflash.log import LogEvent, open_log, time_us
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
-from drivers.imports.stamps import Tell, quiet, timeline
+from drivers.log_stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput
 
 _TEXTS_MAX = 1000  # texts that are kept

@@ -23,7 +23,7 @@ os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import DFReader
 
 from drivers.files import Largest, opened
-from drivers.imports.stamps import Tell, quiet
+from drivers.log_stamps import Tell, quiet
 from estimator.contracts.errors import BadInput, DecklanderError
 
 MAGIC = b"\xa3\x95"

@@ -16,7 +16,7 @@ from msgspec import structs
 
 from drivers.imports.columns import DATAFLASH, cell, unknown
 from drivers.imports.dataflash.log import LogEvent, open_log, time_us
-from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
+from drivers.log_stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus

@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Mapping
 
-from drivers.imports.stamps import Tell
+from drivers.log_stamps import Tell
 
 _HEAD = 16  # length of the file's header, bytes
 _MESSAGE = struct.Struct("<HB")

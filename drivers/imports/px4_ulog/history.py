@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment, LogHistory
 from drivers.imports.px4_ulog.samples import ERRORS_OF_OTHERS, open_ulog
-from drivers.imports.stamps import Tell, quiet, timeline
+from drivers.log_stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput, refused
 
 _ARMED = 2

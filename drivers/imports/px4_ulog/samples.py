@@ -17,7 +17,7 @@ from pyulog import ULog
 from drivers.files import Largest, bytes_of
 from drivers.imports.columns import ULOG, cell, unknown
 from drivers.imports.px4_ulog.damage import without_damage
-from drivers.imports.stamps import Tell, attitude, in_level, quiet, stamp, timeline
+from drivers.log_stamps import Tell, attitude, in_level, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput, DecklanderError, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus

@@ -9,13 +9,14 @@ import msgspec
 
 from companion.base.health import Health
 from companion.base.observer import Observer
+from companion.cycle.ports import Assembly, VehicleLink
 from companion.guidance.pilot import Pilot
-from companion.service.daemon import Daemon, DaemonSetup, VehicleLink
+from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import ExposurePart, vehicle_parts
 from companion.settings.model import CameraSettings, Settings
 from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
-from drivers.mavlink.options import AutopilotOptions
+from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import Clock
 
@@ -33,7 +34,7 @@ class FlightDaemon:
     ) -> None:
         health = Health(clock)
         self.pilot = pilot
-        self._parts = vehicle_parts(settings, pilot, health, clock)
+        self._parts = vehicle_parts(Assembly(settings, pilot, health, clock))
         self._opened: list[VehicleLink] = []
         self.exposure, exposing = exposure_beside(settings, pilot, health)
         """The exposure that the daemon drives; None where the camera does."""
@@ -45,7 +46,6 @@ class FlightDaemon:
             DaemonSetup(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
             observers=observers,
             health=health,
-            extras=self._parts.extras,
         )
 
     @asynccontextmanager
@@ -100,10 +100,8 @@ def exposure_beside(settings: Settings, pilot: Pilot, health: Health) -> tuple[E
 
 def autopilot_at(settings: Settings, links: str) -> AutopilotOptions:
     """Return the options of an autopilot at these links, by settings that were read for one."""
-    vehicle = settings.vehicle
-    if isinstance(vehicle, AutopilotOptions):
-        return msgspec.structs.replace(vehicle, links=links, signing_key_file="")
-    return AutopilotOptions(links=links)
+    vehicle = autopilot_of(settings.vehicle)
+    return AutopilotOptions(links) if vehicle is None else msgspec.structs.replace(vehicle, links=links, signing_key_file="")
 
 
 def beside_autopilot(

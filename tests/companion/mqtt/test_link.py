@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from companion.parts.mqtt import part as part_module
 from companion.parts.mqtt.connection import BrokerEndpoint, Connection, client_id
 from companion.parts.mqtt.messages import CommandReply, StatusMessage, decode, encode
-from companion.settings.links import MqttSettings
+from companion.parts.mqtt.options import MqttSettings
 from estimator.contracts.estimates import FusionResult, Verdict
 from tests.support.mosquitto import Broker, on_message
 from tests.support.mqtt_service import RUN, SESSION, decision, running, vehicle_status
@@ -50,7 +50,9 @@ async def test_what_is_reported_arrives_and_the_status_is_there_for_late_comers(
             await asyncio.sleep(3.5 / settings.sighting_hz)
             assert rig.count("fusion_sent") <= reported, "what is not new is not said again"
     fusion = received_at["fusion"]
-    assert [(s.newest.path, s.newest.source, s.newest.verdict) for s in fusion.sources] == [("ekf", "sighting", "no_attitude")]
+    assert [(s.newest.path, s.newest.source, s.newest.verdict) for s in fusion.sources] == [
+        ("ekf", "sighting", Verdict.NO_ATTITUDE)
+    ]
     assert (received_at["status"].online, received_at["status"].reason, received_at["status"].version) == (True, "up", "1.2.3")
     state = received_at["state"]
     assert (state.belief.d_body_pad_level, state.decision.command) == ([0.3, -0.2, 2.0], "velocity")
@@ -85,7 +87,7 @@ async def test_leaving_says_stopped_and_dying_says_lost(broker: Broker, tmp_path
 
 _DYING = """
 import asyncio, json, sys, tempfile, pathlib
-from companion.settings.links import MqttSettings
+from companion.parts.mqtt.options import MqttSettings
 from tests.support.mqtt_service import running
 from tests.support.waiting import until
 async def main():

@@ -25,8 +25,8 @@ from companion.parts.mqtt.messages import (
     StatusMessage,
     decode,
 )
+from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.part import signed
-from companion.settings.links import MqttSettings
 from estimator.contracts.time import seconds_between
 from tests.support.mosquitto import Broker
 from tests.support.mqtt_consumer import consuming

@@ -24,13 +24,12 @@ from companion.base.health import Health
 from companion.cli.main import main
 from companion.facts import encode as facts
 from companion.parts.mqtt import encode, messages
-from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect
+from companion.parts.mqtt.connection import BrokerEndpoint, Connection, connect, tls_context
 from companion.parts.mqtt.encode import Changes
 from companion.parts.mqtt.messages import PUBLISHED, Topics, decode, split
+from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.part import FARTHEST_S, LONGEST_BYTES, CommandHandler, RefusedMessage, signed, spool_folder, verified
-from companion.settings.links import MqttSettings
 from companion.settings.load import from_mapping
-from companion.settings.referenced_files import tls_context
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Lean
 from estimator.contracts.errors import BadInput
@@ -213,7 +212,7 @@ def test_the_spool_is_where_it_is_set_else_where_systemd_says_else_nowhere() -> 
 
 
 def test_the_schema_is_printed_and_the_examples_of_the_page_are_good(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["config", "schema", "--mqtt"]) == 0
+    assert main(["watch", "--schema"]) == 0
     assert set(json.loads(capsys.readouterr().out)["$defs"]) >= {"OperatorNotice", "ShipReport", "BeginCommand"}
     page = (ROOT / "docs/mqtt.md").read_text()
     blocks = [block.split("```")[0] for block in page.split("```json\n")[1:]]

@@ -232,7 +232,7 @@ GOLDEN = Path(__file__).parents[2] / "golden/frames.mcap"
 
 
 def test_without_the_library_one_line_says_how_to_get_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("drivers.ros2.find_spec", lambda name: None)
+    monkeypatch.setattr("drivers.extras.find_spec", lambda name: None if name == "rosbags" else name)
     assert cli.main(["record", "export", str(GOLDEN), "--format", "ros2", "--output", str(tmp_path / "bag")]) == 2
     printed = capsys.readouterr().err
     assert printed.count("\n") == 1

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base.orders import OperatorOrder, StickPositions
-from companion.settings.referenced_files import mapping_of
+from companion.parts.gamepad.mapping_file import mapping_of
 from drivers.gamepad import device
 from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, InputEvent, events_in
 from drivers.gamepad.mapping import GamepadMemory, gamepad_step, positions, start

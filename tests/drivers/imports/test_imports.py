@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from companion.tools.doctor.gather_outside import parameters_of
 from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import FileKind, kind_of
-from drivers.imports.stamps import Tell, timeline
+from drivers.log_stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
 from tests.support import flight_logs as made

@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from companion.parts.ship.options import RtkOptions
 from companion.parts.ship.part import BusPart
 from companion.settings.load import load
 from companion.settings.referenced_files import check_installed
@@ -609,14 +610,14 @@ async def test_a_signal_k_server_that_is_not_there_is_a_fault_of_the_outside() -
 
 
 def test_without_the_extra_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.endpoint.find_spec", lambda name: None)
+    monkeypatch.setattr("drivers.extras.find_spec", lambda name: None if name in ("nmea2000", "can", "pyubx2") else name)
     sim = load("sim")
     over = {bus: replace(sim, vessel=replace(sim.vessel, bus=bus)) for bus in ("can://can0", "signalk://127.0.0.1:3000")}
     with pytest.raises(BadInput, match=r"can0 needs nmea2000, which is not installed: install the extra decklander\[ship\]"):
         check_installed(over["can://can0"])
     check_installed(over["signalk://127.0.0.1:3000"])
     with pytest.raises(BadInput, match=r"rtk\.source 127\.0\.0\.1:5000 needs pyubx2, which is not installed"):
-        check_installed(replace(sim, rtk=replace(sim.rtk, source="127.0.0.1:5000")))
+        check_installed(replace(sim, rtk=replace(sim.of(RtkOptions), source="127.0.0.1:5000")))
 
 
 @pytest.mark.parametrize("url", ["can0", "can://", "udp://1.2.3.4:5", "tcp://host", "signalk://host:99999", "serial:///dev/x:1"])

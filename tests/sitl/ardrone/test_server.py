@@ -18,11 +18,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.settings.model import ardrone_options
 from drivers.ardrone import at, pave
 from drivers.ardrone.link import ArDrone, open_ardrone
 from drivers.ardrone.navdata import LAYOUTS, ControlState, NavdataState
-from drivers.ardrone.options import ArDroneOptions
+from drivers.ardrone.options import ArDroneOptions, ardrone_options
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Land
 from estimator.contracts.errors import BadInput
@@ -534,7 +533,7 @@ def test_the_views_of_its_channels(channel: str, shape: tuple[int, int], inset: 
 def test_it_lands_in_virtual_time_by_decoded_pictures() -> None:
     scenario = load_scenario("ardrone1")
     settings = settings_for(scenario, None)
-    assert ardrone_options(settings).model == "1.0"
+    assert ardrone_options(settings.vehicle).model == "1.0"
     ending = fly("ardrone1", scenario, 1, settings).as_json()
     assert ending["landed_on_pad"]
     assert ending["touchdown"]["lateral_m"] < 0.2

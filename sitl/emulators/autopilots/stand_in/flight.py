@@ -15,6 +15,7 @@ from msgspec import Struct
 
 from companion.base.health import Health
 from companion.base.observer import Observer
+from companion.cycle.ports import Assembly
 from companion.guidance.pilot import Pilot
 from companion.parts.mavlink.make import AutopilotPart
 from companion.settings.model import Settings
@@ -81,7 +82,7 @@ class ServiceProcess:
         self, settings: Settings, pilot: Pilot, clock: SetClock, observers: Sequence[Observer], *, watched: bool
     ) -> None:
         self.health = Health(clock)
-        part = AutopilotPart(settings, autopilot_at(settings, COMPANION), pilot, self.health, clock)
+        part = AutopilotPart(Assembly(settings, pilot, self.health, clock), autopilot_at(settings, COMPANION))
         self.autopilot, work = part.joined(MemoryLink)
         self.exposure, exposing = exposure_beside(settings, pilot, self.health)
         observers = (part.component, *observers, *exposing)

@@ -14,9 +14,9 @@ import pytest
 
 from companion.base.orders import HandledOrder, OperatorOrder
 from companion.guidance.pilot import make_pilot
-from companion.parts.operator.gamepad_part import GamepadPart
+from companion.parts.gamepad.mapping_file import mapping_of
+from companion.parts.gamepad.part import GamepadPart
 from companion.settings.load import load
-from companion.settings.referenced_files import mapping_of
 from drivers.gamepad.device import AXES, BUTTONS, EV_ABS, EV_KEY, EV_SYN, EVENT, SYN_DROPPED, AxisRange, gamepads
 from estimator.contracts.commands import Hover, Velocity
 from estimator.contracts.samples import VehicleStatus
@@ -93,7 +93,7 @@ class Rig:
 
 @asynccontextmanager
 async def gamepad_rig(monkeypatch: pytest.MonkeyPatch, wanted: str = "any") -> AsyncIterator[Rig]:
-    monkeypatch.setattr("companion.parts.operator.gamepad_part._SCAN_S", 0.05)
+    monkeypatch.setattr("companion.parts.gamepad.part._SCAN_S", 0.05)
     made = Rig(wanted)
     async with asyncio.TaskGroup() as group:
         tasks = [group.create_task(made.live()), group.create_task(made.part.run())]

@@ -10,8 +10,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from companion.base.orders import TWICE_S, HandledOrder, OperatorOrder, OrderSender, OrderSource, StickPositions
+from companion.cycle.ports import Assembly
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
+from companion.parts.gamepad.mapping_file import mapping_of
 from drivers.gamepad.device import AXES, AxisRange, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
@@ -176,3 +178,11 @@ class _Session:
             self.lost = why.strerror or str(why)
             asyncio.get_running_loop().remove_reader(self._device.fileno())
             self.release()
+
+
+def join(service: Assembly) -> None:
+    """Add the gamepad of the settings."""
+    operator = service.settings.operator
+    gamepad = GamepadPart(mapping_of(operator.gamepad), operator.gamepad_device, service.pilot, service.clock)
+    service.observers.append(gamepad)
+    service.add("gamepad", gamepad)

@@ -1,0 +1,1 @@
+"""The AR.Drone as the service's vehicle."""

@@ -1,0 +1,1 @@
+"""A gamepad as a sender of orders, and as sticks."""

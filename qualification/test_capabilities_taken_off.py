@@ -1,0 +1,97 @@
+"""Each capability taken away: the tree without its files imports, its fast tests pass, and a drone lands."""
+
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+from benches.house_counts import OWNERS
+
+ROOT = Path(__file__).parents[1]
+REMOVABLE = ("MQTT and watch", "ROS 2", "Foxglove", "gamepad")
+"""Names of `benches.house_counts.OWNERS`, whose files are taken away."""
+BUILT = ("estimator/core", "sitl/core")
+LEFT_OUT = (
+    "qualification/", "tests/benches/", "tests/companion/test_capabilities.py", "tests/docs/", "tests/fuzz/", "tests/mutants/",
+    "tests/supply/", "tests/test_examples.py", "tests/test_house.py",
+)  # fmt: skip
+"""Tests of the whole, of benches, documents and packages, which name everything."""
+_IMPORT_ALL = """
+import pkgutil, sys
+for top in ("companion", "drivers", "estimator", "sitl", "study"):
+    package = __import__(top)
+    for module in pkgutil.walk_packages(package.__path__, f"{top}."):
+        if module.name.rpartition(".")[2] != "__main__":
+            __import__(module.name)
+"""
+
+
+def modules_of(paths: Iterable[str]) -> set[str]:
+    return {path.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for path in paths if path.endswith(".py")}
+
+
+def names_in(text: str) -> set[str]:
+    """Return the dotted names that a file of tests imports, and names of modules that it mentions as text."""
+    found = set[str]()
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Import(names=names):
+                found |= {alias.name for alias in names}
+            case ast.ImportFrom(module=str(module), names=names):
+                found |= {module, *(f"{module}.{alias.name}" for alias in names)}
+            case ast.Constant(value=str(value)):
+                found.add(value)
+    return found
+
+
+def kept_without(owner: str) -> list[str]:
+    """Return the files of the tree that stay without a capability; tests that import what is gone go, too."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
+    gone = modules_of(path for path in listed if path.startswith(OWNERS[owner]))
+    files = [path for path in listed if not path.startswith((*OWNERS[owner], *LEFT_OUT))]
+    tests = {path: names_in((ROOT / path).read_text()) for path in files if path.startswith("tests/") and path.endswith(".py")}
+    while lost := [path for path, names in tests.items() if any(within(name, gone) for name in names)]:
+        gone |= modules_of(lost)
+        for path in lost:
+            del tests[path]
+    return [path for path in files if path in tests or not (path.startswith("tests/") and path.endswith(".py"))]
+
+
+def within(name: str, gone: set[str]) -> bool:
+    """Return whether a name is a module that is gone, or something in one."""
+    parts = name.split(".")
+    return any(".".join(parts[:n]) in gone for n in range(1, len(parts) + 1))
+
+
+@pytest.fixture(scope="module", params=REMOVABLE)
+def tree(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("tree")
+    built = [path for at in BUILT for path in (ROOT / at).iterdir() if path.suffix in (".so", ".1") or path.name == "abi.py"]
+    for path in {*kept_without(request.param), *(str(path.relative_to(ROOT)) for path in built)}:
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / path, folder / path)
+    return folder
+
+
+def ran_in(folder: Path, *arguments: str, code: int = 0) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stdout[-4000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def test_the_rest_imports_and_passes_its_fast_tests(tree: Path) -> None:
+    ran_in(tree, "-c", _IMPORT_ALL)
+    ran_in(tree, "-m", "pytest", "-q", "-x", "-n", "2", "-m", "not slow")
+
+
+def test_a_drone_lands_without_it(tree: Path) -> None:
+    flight = ("calm", "--perception", "model", "--autopilot", "arducopter", "--binary", "stand-in", "--json")
+    flown = ran_in(tree, "-m", "companion.cli.main", "simulate", *flight)
+    assert json.loads(flown)["landed_on_pad"] is True

@@ -1,0 +1,87 @@
+"""The table of capabilities, vehicles of other packages, and the answer where something is missing."""
+
+import tomllib
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any
+
+import pytest
+from msgspec import structs
+
+from companion.settings import capabilities, schema
+from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, imported, vehicle_kind
+from companion.settings.load import from_mapping, load
+from companion.settings.model import Settings
+from companion.settings.referenced_files import check_installed
+from drivers import extras
+from drivers.vehicle import VehicleOptions
+from estimator.contracts.errors import BadInput
+from estimator.contracts.keys import text
+
+ROOT = Path(__file__).parents[2]
+SIM = load("sim")
+
+
+class Kite(VehicleOptions, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="kite"):
+    """A vehicle of another package."""
+
+    string: Annotated[str, text("what holds it", 20, public=True)] = "hemp"
+    response = "autopilot"
+
+    @property
+    def name(self) -> str:
+        return f"a kite on {self.string}"
+
+
+@pytest.mark.parametrize("capability", CAPABILITIES, ids=lambda capability: capability.what)
+def test_what_the_table_names_is_there_and_in_the_extras_of_the_distribution(capability: Capability) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert capability.extra in project["optional-dependencies"]
+    kinds = capability.vehicles.values()
+    for name in (capability.join, capability.references, *(kind.options for kind in kinds), *(kind.parts for kind in kinds)):
+        assert not name or callable(imported(name))
+    for key in capability.keys:
+        assert key.partition("=")[0] in dict(schema.walk(Settings))
+
+
+def test_a_package_offers_a_vehicle_that_settings_then_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered = SimpleNamespace(
+        name="kite", value="kites:KIND", load=lambda: VehicleKind("tests.companion.test_capabilities:Kite", "kites:make")
+    )
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [offered] if group == capabilities.VEHICLE_GROUP else [])
+    tables: dict[str, Any] = {"vehicle": {"kind": "kite"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}}
+    settings = from_mapping(tables, "rig.toml")
+    assert (settings.vehicle.kind, settings.vehicle.name) == ("kite", "a kite on hemp")
+    assert 'string = "hemp"' in schema.toml(settings)
+    tables["vehicle"]["string"] = 3
+    with pytest.raises(BadInput, match=r"^rig\.toml: vehicle\.string must be text"):
+        from_mapping(tables, "rig.toml")
+    with pytest.raises(BadInput, match=r'^vehicle\.kind must be one of "ardrone", "kite", "mavlink", found "ufo"$'):
+        vehicle_kind("ufo")
+
+
+@pytest.mark.parametrize("capability", [c for c in CAPABILITIES if c.keys], ids=lambda capability: capability.what)
+def test_settings_that_want_what_is_not_installed_are_refused_in_a_line_that_says_what_to_install(
+    capability: Capability, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key, _, value = capability.keys[0].partition("=")
+    table, name = key.split(".")
+    on: Any = value or (True if isinstance(getattr(getattr(SIM, table), name), bool) else "on")
+    device = {"device": "/deck"} if table == "camera" else {}
+    on = "127.0.0.1:10110" if key == "vessel.nmea" else on
+    wanting = structs.replace(SIM, **{table: structs.replace(getattr(SIM, table), **{name: on}, **device)})
+    assert not capability.wanted_by(SIM)
+    found = extras.is_installed
+    for missing in (capability.module, *capability.needs):
+        for module in (capabilities, extras):
+            monkeypatch.setattr(module, "is_installed", lambda name, missing=missing: name != missing and found(name))
+        with pytest.raises(BadInput, match=rf"^{key} needs .* install the extra decklander\[{capability.extra}\]$"):
+            check_installed(wanting)
+
+
+def test_a_vehicle_that_is_not_installed_is_refused_likewise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: not name.startswith("drivers.ardrone"))
+    assert set(VEHICLES) == {"ardrone", "mavlink"}
+    with pytest.raises(BadInput, match=r'kind = "ardrone" needs the AR.Drone, .* install the extra decklander\[ardrone\]$'):
+        vehicle_kind("ardrone")
