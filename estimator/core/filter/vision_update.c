@@ -290,23 +290,42 @@ static int is_singular(const comparison *row, dl_outcome *out)
     return !row->ok;
 }
 
-/* Count a rejection of a sighting, unless it is outvoted; whether that makes a streak which resets the belief to it. */
-static int rejection_resets(const dl_filter_params *o, dl_belief *b, const dl_sighting *s, const comparison *row, int outvoted)
+/* Count a rejection of a sighting, unless it is outvoted. A streak of them resets the belief to it, and it is compared again; else the
+ * outcome is written, and 0 returned. */
+static int starts_again(const dl_filter_params *o, dl_belief *b, covariance *c, const dl_sighting *s, comparison *row, int outvoted,
+                        dl_outcome *out)
 {
-    if (outvoted) {
+    if (!outvoted) {
+        reject(b, row, s->by_baseline);
+    }
+    const double span = seconds(b->rejections.since, b->rejections.last);
+    if (outvoted || (s->by_baseline && !(is_sure(s) && span >= FOLLOWED_S)) || !streak_resets(o, b)) {
+        write_outcome(out, DL_GATED, row->seen.m, 0, row->seen.innov, row->S, row->nis, o->nis_max[row->seen.m - 1]);
         return 0;
     }
-    reject(b, row, s->by_baseline);
-    const double span = seconds(b->rejections.since, b->rejections.last);
-    return (!s->by_baseline || (is_sure(s) && span >= FOLLOWED_S)) && streak_resets(o, b);
+    initialise_pad(o, b, c, s, !s->by_baseline);
+    b->nis_mean = 1.0;
+    compare(o, b, c->P, s, 0, row);
+    return !is_singular(row, out);
+}
+
+/* Whether a baseline contradicts the belief in vain: a picture was fused so lately. */
+static int is_outvoted(const dl_belief *b, const dl_sighting *s)
+{
+    return s->by_baseline && happened(b->pictured) && seconds(b->pictured, b->t) < OUTVOTED_S;
+}
+
+/* Whether a belief about the pad may begin by a sighting: a baseline has to be sure, and alone. */
+static int may_begin(const dl_sighting *s, int sure)
+{
+    return !s->by_baseline || (s->alone && sure);
 }
 
 void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_ref *bank, const dl_sighting *s, dl_outcome *out)
 {
     comparison rows[2], *row;
-    const int fresh = !happened(b->sighted), sure = !s->by_baseline || is_sure(s);
-    const int outvoted = s->by_baseline && happened(b->pictured) && seconds(b->pictured, b->t) < OUTVOTED_S;
-    if (fresh && s->by_baseline && !(s->alone && sure)) {
+    const int fresh = !happened(b->sighted), sure = !s->by_baseline || is_sure(s), outvoted = is_outvoted(b, s);
+    if (fresh && !may_begin(s, sure)) {
         uncompared(out, DL_GATED);
         return;
     }
@@ -321,17 +340,9 @@ void fuse_sighting(const dl_filter_params *o, dl_belief *b, covariance *c, sea_r
     if (!fresh && !outvoted) {
         b->nis_mean = nis_mean_of(b->nis_mean, row->seen.innov, row->S, dof);
     }
-    if (row->nis > o->nis_max[dof - 1] || is_as_rejected(b, s, row)) {
-        if (!rejection_resets(o, b, s, row, outvoted)) {
-            write_outcome(out, DL_GATED, dof, 0, row->seen.innov, row->S, row->nis, o->nis_max[dof - 1]);
-            return;
-        }
-        initialise_pad(o, b, c, s, !s->by_baseline);
-        b->nis_mean = 1.0;
-        compare(o, b, c->P, s, 0, row);
-        if (is_singular(row, out)) {
-            return;
-        }
+    const int refused = row->nis > o->nis_max[dof - 1] || is_as_rejected(b, s, row);
+    if (refused && !starts_again(o, b, c, s, row, outvoted, out)) {
+        return;
     }
     if (s->by_baseline) {
         fuse_baseline(b, c, row, fresh, sure);

@@ -36,6 +36,47 @@ static inline int32_t fixed(float px)
     return (int32_t)(65536.0f * px);
 }
 
+/* A run of pixels on a straight way through the image, px: where it begins and goes, and whether all of it is within or beyond. */
+typedef struct {
+    float at[2], step[2], end[2];
+    int inside, outside;
+} way;
+
+/* The way between two nodes on either side, so far down to those below them. */
+static way way_of(const dl_image *image, const float *from, const float *to, float down, int between)
+{
+    way out = {.end = {(float)image->width - 2.0f, (float)image->height - 2.0f}, .inside = 1};
+    for (int k = 0; k < 2; k++) {
+        const float end = out.end[k], at = from[k] + down * (to[k] - from[k]), next = from[k + 2] + down * (to[k + 2] - from[k + 2]);
+        out.at[k] = at, out.step[k] = (next - at) / (float)between;
+        out.inside = out.inside && at >= 1.5f && at < end - 0.5f && next >= 1.5f && next < end - 0.5f;
+        out.outside = out.outside || (at < 1.0f && next < 1.0f) || (at > end && next > end);
+    }
+    return out;
+}
+
+static inline float limited_to(float value, float most)
+{
+    return value > 0.0f ? (value < most ? value : most) : 0.0f;
+}
+
+/* Draw a run that is not all within the image. Beyond its border the nearest pixels are taken, of a run that is all beyond it the nearest
+ * of its first. */
+static void run_beyond(const dl_image *image, const way *along, int count, int channels, uint8_t *out, uint8_t *shown)
+{
+    for (int k = 0; k < count; k++) {
+        if (along->outside && k > 0) {
+            memcpy(out + channels * k, out, (size_t)channels);
+            shown[k] = 0;
+            continue;
+        }
+        const float u = along->at[0] + (float)k * along->step[0], v = along->at[1] + (float)k * along->step[1];
+        const int32_t begin[2] = {fixed(limited_to(u, along->end[0])), fixed(limited_to(v, along->end[1]))}, still[2] = {0, 0};
+        run_of(image, begin, still, 1, channels, out + channels * k);
+        shown[k] = u >= 1.0f && v >= 1.0f && u <= along->end[0] && v <= along->end[1] ? 255 : 0;
+    }
+}
+
 int32_t dl_from_above(const dl_image *image, const float *places, int32_t nodes, int32_t between, int32_t channels, uint8_t *out,
     uint8_t *shown)
 {
@@ -44,41 +85,21 @@ int32_t dl_from_above(const dl_image *image, const float *places, int32_t nodes,
         return DL_WRONG_SIZE;
     }
     const int n = (nodes - 1) * between + 1;
-    const float right = (float)image->width - 2.0f, bottom = (float)image->height - 2.0f;
     for (int row = 0; row < n; row++) {
         const int above = row / between < nodes - 1 ? row / between : nodes - 2;
         const float down = (float)(row - above * between) / (float)between;
         for (int cell = 0; cell < nodes - 1; cell++) {
-            const float *from = places + 2 * ((int64_t)above * nodes + cell), *to = from + 2 * nodes;
+            const float *from = places + 2 * ((int64_t)above * nodes + cell);
             const int count = cell == nodes - 2 ? between + 1 : between;
             const int64_t first = (int64_t)row * n + cell * between;
-            float at[2], step[2];
-            int inside = 1, outside = 0;
-            for (int k = 0; k < 2; k++) {
-                const float end = k ? bottom : right, next = from[k + 2] + down * (to[k + 2] - from[k + 2]);
-                at[k] = from[k] + down * (to[k] - from[k]), step[k] = (next - at[k]) / (float)between;
-                inside = inside && at[k] >= 1.5f && at[k] < end - 0.5f && next >= 1.5f && next < end - 0.5f;
-                outside = outside || (at[k] < 1.0f && next < 1.0f) || (at[k] > end && next > end);
-            }
-            if (inside) {
-                const int32_t begin[2] = {fixed(at[0]), fixed(at[1])}, each[2] = {fixed(step[0]), fixed(step[1])};
-                run_of(image, begin, each, count, channels, out + channels * first);
-                memset(shown + first, 255, (size_t)count);
+            const way along = way_of(image, from, from + 2 * nodes, down, between);
+            if (!along.inside) {
+                run_beyond(image, &along, count, channels, out + channels * first, shown + first);
                 continue;
             }
-            /* Beyond the image's border the nearest pixels are taken, of a run that is all beyond it the nearest of its first. */
-            for (int k = 0; k < count; k++) {
-                if (outside && k > 0) {
-                    memcpy(out + channels * (first + k), out + channels * first, (size_t)channels);
-                    shown[first + k] = 0;
-                    continue;
-                }
-                const float u = at[0] + (float)k * step[0], v = at[1] + (float)k * step[1];
-                const float in_u = u > 0.0f ? (u < right ? u : right) : 0.0f, in_v = v > 0.0f ? (v < bottom ? v : bottom) : 0.0f;
-                const int32_t begin[2] = {fixed(in_u), fixed(in_v)}, still[2] = {0, 0};
-                run_of(image, begin, still, 1, channels, out + channels * (first + k));
-                shown[first + k] = u >= 1.0f && v >= 1.0f && u <= right && v <= bottom ? 255 : 0;
-            }
+            const int32_t begin[2] = {fixed(along.at[0]), fixed(along.at[1])}, each[2] = {fixed(along.step[0]), fixed(along.step[1])};
+            run_of(image, begin, each, count, channels, out + channels * first);
+            memset(shown + first, 255, (size_t)count);
         }
     }
     return n;
