@@ -338,6 +338,15 @@ class LandingGuidance:
         changes, self._changes = tuple(self._changes), []
         return changes
 
+    def _feel(self, imu: Imu) -> None:
+        before, felt = self._flight.contact, watched(self._flight.contact, imu)
+        self._flight.contact = felt
+        # By our own clock: a stamp that lies would put the contact before the commit.
+        if felt.newest is not None and felt.newest is not before.newest:
+            self._flight.impact = structs.replace(felt.newest, at=imu.stamp.received_at)
+        if felt.touch is not None and felt.touch is not before.touch:
+            self._flight.touch = structs.replace(felt.touch, at=imu.stamp.received_at)
+
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Note what guidance itself needs of samples, beside the estimator."""
         for sample in samples:
@@ -347,13 +356,7 @@ class LandingGuidance:
             # By the type itself: hundreds of samples a second, and a match checks one class after the other.
             if type(sample) is Imu:
                 if self.mission.state not in GROUND:
-                    before, felt = self._flight.contact, watched(self._flight.contact, sample)
-                    self._flight.contact = felt
-                    # By our own clock: a stamp that lies would put the contact before the commit.
-                    if felt.newest is not None and felt.newest is not before.newest:
-                        self._flight.impact = structs.replace(felt.newest, at=received_at)
-                    if felt.touch is not None and felt.touch is not before.touch:
-                        self._flight.touch = structs.replace(felt.touch, at=received_at)
+                    self._feel(sample)
             elif type(sample) is Attitude:
                 self._response.on_attitude(sample.stamp, reported_lean(sample.R_ned_body))
                 self._attitude = sample

@@ -402,12 +402,11 @@ class Pilot:
         response = self.landing.on_command(now, chosen.command)
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
-        phase, why = chosen.phase or self.state.value, chosen.limit or chosen.reason or self._why(belief)
-        if refusal is not None and self.state not in GROUND and refusal.text not in why:
-            why = "; ".join(filter(None, (why, refusal.text)))
-        charge = self.landing.charge
-        if charge and charge not in why:
-            why = "; ".join(filter(None, (why, charge)))
+        phase, charge = chosen.phase or self.state.value, self.landing.charge
+        why = chosen.limit or chosen.reason or self._why(belief)
+        for further in ("" if refusal is None or self.state in GROUND else refusal.text, charge):
+            if further not in why:
+                why = f"{why}; {further}" if why else further
         limit, why = ("; ".join(filter(None, (text, self.landing.ignoring))) for text in (chosen.limit, why))
         made = self.landing.forecast_made(now)
         ahead = None if made is None else DeckOutlook.of(made)

@@ -104,6 +104,23 @@ def _of_table(table: Path, paths: Sequence[Path], tell: Tell) -> dict[str, int]:
     except DecklanderError:
         return {}
     names = {path.name for path in paths}
+    head, rows = _rows_of(lines, names, table.name, tell)
+    if not rows:
+        return {}
+    width = len(next(iter(rows.values())))
+    rows = {name: cells for name, cells in rows.items() if len(cells) == width}
+    head = head if len(head) == width else [""] * width
+    numbers = [k for k in range(width) if 2 * sum(_value(cells[k]) is not None for cells in rows.values()) > len(rows)]
+    if not numbers:
+        return {}
+    column = _column_of_time(table, numbers, head, next(iter(rows.values())), names)
+    unit = f"{found[1] or ''}s" if (found := _UNIT.search(head[column])) else ""
+    values = {name: _value(cells[column]) for name, cells in rows.items()}
+    return {name: at_us for name, value in values.items() if value is not None and (at_us := _in_us(value, unit)) is not None}
+
+
+def _rows_of(lines: Sequence[str], names: set[str], table: str, tell: Tell) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the head of a table's columns, and the cells of each image's line."""
     head, rows, absent, twice = list[str](), dict[str, list[str]](), list[str](), list[str]()
     for line in lines:
         cells = _cells(line)
@@ -116,21 +133,10 @@ def _of_table(table: Path, paths: Sequence[Path], tell: Tell) -> dict[str, int]:
             absent.append(files[0])
         elif not rows:
             head = [cell.lower() for cell in cells]
-    if not rows:
-        return {}
     for left, why in ((absent, "is not in the folder"), (twice, "has a line above, which counts")):
-        if left:
-            tell(f"{len(left)} of {len(lines)} lines of {table.name} are left out: {left[0]} {why}")
-    width = len(next(iter(rows.values())))
-    rows = {name: cells for name, cells in rows.items() if len(cells) == width}
-    head = head if len(head) == width else [""] * width
-    numbers = [k for k in range(width) if 2 * sum(_value(cells[k]) is not None for cells in rows.values()) > len(rows)]
-    if not numbers:
-        return {}
-    column = _column_of_time(table, numbers, head, next(iter(rows.values())), names)
-    unit = f"{found[1] or ''}s" if (found := _UNIT.search(head[column])) else ""
-    values = {name: _value(cells[column]) for name, cells in rows.items()}
-    return {name: at_us for name, value in values.items() if value is not None and (at_us := _in_us(value, unit)) is not None}
+        if left and rows:
+            tell(f"{len(left)} of {len(lines)} lines of {table} are left out: {left[0]} {why}")
+    return head, rows
 
 
 def _cells(line: str) -> list[str]:

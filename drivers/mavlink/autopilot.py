@@ -569,6 +569,18 @@ class Autopilot:
     def _period(self, known: _Known, now: MonoNs, *, listened: bool) -> None:
         for message in known.origins.due(now):
             self._on_own_message(known, message, now)
+        self._note_silence(known, now, listened=listened)
+        unclear = self.unclear is not None
+        if known.streamer.hand is Hand.CUT or not (known.lost or known.mute or unclear):
+            self._send_all(known, known.streamer.period(now))
+        elif unclear and not (known.suspended or known.mute):
+            self._send_all(known, known.streamer.suspend(now))
+        known.suspended = unclear
+        self._tell_hand(known, now)
+        if not known.lost:
+            self._send_requests(known, now)
+
+    def _note_silence(self, known: _Known, now: MonoNs, *, listened: bool) -> None:
         if listened and not known.lost and seconds_between(known.received_at, now) > self._o.silence_s:
             known.lost = True
             self.samples.offer(known.sampler.status(now, link_ok=False))
@@ -579,15 +591,8 @@ class Autopilot:
             _log.warning(
                 "autopilot: no HEARTBEAT for %.0f s, although it sends: its mode is unknown, nothing is commanded", _BEAT_S
             )
-        unclear = self.unclear is not None
-        if known.streamer.hand is Hand.CUT or not (known.lost or known.mute or unclear):
-            self._send_all(known, known.streamer.period(now))
-        elif unclear and not (known.suspended or known.mute):
-            self._send_all(known, known.streamer.suspend(now))
-        known.suspended = unclear
-        self._tell_hand(known, now)
-        if known.lost:
-            return
+
+    def _send_requests(self, known: _Known, now: MonoNs) -> None:
         link = known.source[0]
         opened, boots = self.links.opened[link], (known.clock.restarts, known.origins.changes)
         if boots[0] > self._boots[0]:

@@ -377,7 +377,25 @@ class SetpointStreamer:
             self.others_at = self._now
             if own:
                 yield HandEvent.FAILSAFE
-        ours = self._modes.on_mode(now.mode, self._now, ambiguous=own) if beat else None
+        if beat:
+            yield from self._by_mode(before, now, in_mode=in_mode, own=own)
+        yield from self._by_arming(before, now, beat=beat)
+        if now.flying is False:
+            yield HandEvent.DOWN if now.armed is False else HandEvent.STOOD
+        elif now.flying and self._climb is not None:
+            self._climb.flew = True
+            yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
+        if in_mode:
+            yield HandEvent.IN_MODE
+
+    def _by_mode(self, before: Condition, now: Condition, *, in_mode: bool, own: bool) -> Iterator[HandEvent]:
+        """Yield the events in the mode of a HEARTBEAT.
+
+        Args:
+            in_mode: it is the mode that guidance flies in.
+            own: it is no mode for setpoints, so a person or a failsafe may have chosen it.
+        """
+        ours = self._modes.on_mode(now.mode, self._now, ambiguous=own)
         if ours and own and self._failsafe_acts:
             ours = False
         # PX4 goes back into OFFBOARD by itself once the setpoints come again whose end was its failure.
@@ -391,6 +409,9 @@ class SetpointStreamer:
                 yield HandEvent.MODE_ORDER
         elif ours and not in_mode:
             yield HandEvent.LATE
+
+    def _by_arming(self, before: Condition, now: Condition, *, beat: bool) -> Iterator[HandEvent]:
+        """Yield the events in what a report tells of the motors."""
         climb = self._climb
         if self.motors_cut and now.armed and now.flying:
             yield HandEvent.FLOWN_AGAIN
@@ -398,13 +419,6 @@ class SetpointStreamer:
             yield HandEvent.DISARMED
         elif now.armed and before.armed is False and (climb is None or not climb.arms):
             yield HandEvent.ARMED
-        if now.flying is False:
-            yield HandEvent.DOWN if now.armed is False else HandEvent.STOOD
-        elif now.flying and self._climb is not None:
-            self._climb.flew = True
-            yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
-        if in_mode:
-            yield HandEvent.IN_MODE
 
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""

@@ -160,6 +160,17 @@ def take_order(p: Progress, event: Event, at: MonoNs, o: GuidanceOptions, why: R
     return (replace(p, reason=why) if event is Event.HOLD and p.state is State.PAUSED else p), changes
 
 
+def _taken(p: Progress, reason: Reason, at: MonoNs, o: GuidanceOptions) -> tuple[Progress, Transitions]:
+    """Take that others have the vehicle, or a further reason of theirs."""
+    p, changes = take(p, Event.TAKEN, reason, at, o)
+    if changes or p.state is not State.TAKEN or p.reason is None or p.reason == reason:
+        return p, changes
+    if p.reason.cause is not ReasonCause.TAKEN_OVER:
+        return p, changes
+    # ArduCopter reports its mode before its words for it.
+    return replace(p, reason=reason), (StateChange(at, State.TAKEN, Event.TAKEN, State.TAKEN, reason),)
+
+
 def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resumes: bool = False) -> tuple[Progress, Transitions]:
     """Take the vehicle's report about itself.
 
@@ -177,13 +188,9 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
     # A report from before the order to begin belongs to the flight before.
     lifted = p.stood and p.state in ENDED
     if status.taken is not None and not lifted and (p.asked_at is None or at > p.asked_at):
-        p, changes = take(p, Event.TAKEN, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
+        p, changes = _taken(p, Reason(ReasonCause.TAKEN_OVER, detail=status.taken), at, o)
         if changes:
             return p, changes
-        reason = Reason(ReasonCause.TAKEN_OVER, detail=status.taken)
-        if p.state is State.TAKEN and p.reason is not None and p.reason.cause is ReasonCause.TAKEN_OVER and p.reason != reason:
-            # ArduCopter reports its mode before its words for it.
-            return replace(p, reason=reason), (StateChange(at, State.TAKEN, Event.TAKEN, State.TAKEN, reason),)
     if resumes and status.taken is None and p.taken_from in FLOWN and p.here is None and not p.stood:
         return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):

@@ -422,6 +422,24 @@ def entered(p: Progress, change: StateChange) -> Progress:
     )  # fmt: skip
     if change.source in HELD_BY_PERSON and change.reason.cause in (ReasonCause.BATTERY_ENDS, ReasonCause.LANDS_HERE):
         p = structs.replace(p, end_begun=True)
+    p = _after_event(p, change)
+    if change.target not in _KEEP_HERE:
+        p = structs.replace(p, here=None)
+    match change.target:
+        case State.GO_AROUND:
+            touched = change.reason.cause is ReasonCause.OFF_DECK
+            p = structs.replace(
+                p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None, bounces=p.bounces + touched, course=HeldCourse()
+            )
+        case State.COMMIT | State.DOWN | State.LAND_HERE:
+            p = structs.replace(p, ordered=True)
+        case State.REFUSED | State.GAVE_UP:
+            p = structs.replace(p, fault=change.reason)
+    return structs.replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
+
+
+def _after_event(p: Progress, change: StateChange) -> Progress:
+    """Return the memory after what the event of a transition changes, whatever state it leads to."""
     match change.event:
         case Event.TAKEN_OFF:
             p = structs.replace(_fresh(p), stood=False, ordered=False, stays=False, end_begun=False)
@@ -457,19 +475,7 @@ def entered(p: Progress, change: StateChange) -> Progress:
             p = structs.replace(
                 p, attempt=p.attempt.again(), seen_height_m=higher_m, climbed_m=0.0, silent_m=None, course=HeldCourse()
             )
-    if change.target not in _KEEP_HERE:
-        p = structs.replace(p, here=None)
-    match change.target:
-        case State.GO_AROUND:
-            touched = change.reason.cause is ReasonCause.OFF_DECK
-            p = structs.replace(
-                p, fault=change.reason, go_arounds=p.go_arounds + 1, turned=None, bounces=p.bounces + touched, course=HeldCourse()
-            )
-        case State.COMMIT | State.DOWN | State.LAND_HERE:
-            p = structs.replace(p, ordered=True)
-        case State.REFUSED | State.GAVE_UP:
-            p = structs.replace(p, fault=change.reason)
-    return structs.replace(p, stood=change.target in (State.LANDED, State.LANDED_BY_OTHERS))
+    return p
 
 
 def _asked(p: Progress, at: MonoNs) -> Progress:

@@ -427,30 +427,37 @@ class OperatorArbiter:
 
     def _refused(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
         """Return why an order that is given now would be refused."""
-        situation = self.situation(now)
-        rule = TABLE[order][situation]
-        control, status = self._control, self._guided.vehicle
+        rule, status = TABLE[order][self.situation(now)], self._guided.vehicle
         stood = self._stood_still(now)
         if stood is not None and order not in NEVER_OLD and seconds_between(stood[1], now) <= _WAITED_S:
             return f"it may be old, for this service stood still for {stood[0]:.1f} s: give it again"
         if order is OperatorOrder.CLEAR and not (bar := self._guided.barred())[1]:
             return f"{bar[0]}: what moves is not ignored" if bar[0] else "nothing is seen that bars a landing"
-        own = rule in (Rule.HOLDER, Rule.IDLE) and sender == control.hand
+        own = rule in (Rule.HOLDER, Rule.IDLE) and sender == self._control.hand
         if order in _TO_PAD and (own or rule is Rule.YES) and not self._guided.may_begin:
             return REASONS[Rule.ON_GROUND]
         if own:
             flies = order is OperatorOrder.TAKE_OFF and status is not None and status.flying is not False
             return REASONS[Rule.FLYING] if flies else None
+        return self._held_by_others(rule, now) or self._too_little_charge(order, status) or self._crossed(order, sender, now)
+
+    def _held_by_others(self, rule: Rule, now: MonoNs) -> str | None:
+        control = self._control
         idle = control.moved_at is None or seconds_between(control.moved_at, now) > IDLE_HAND_S
-        if rule is not Rule.YES and not (rule is Rule.IDLE and idle):
-            way = _NOT_LEFT if control.warned else '"reset" first'
-            return REASONS[rule].format(holder=control.hand, way=way)
+        if rule is Rule.YES or (rule is Rule.IDLE and idle):
+            return None
+        return REASONS[rule].format(holder=control.hand, way=_NOT_LEFT if control.warned else '"reset" first')
+
+    def _too_little_charge(self, order: OperatorOrder, status: VehicleStatus | None) -> str | None:
         charge, least = (None if status is None else status.battery_fraction), self._limits.take_off_charge_min
         if order is OperatorOrder.TAKE_OFF and not self._lands and charge is not None and charge < least:
             return f"the battery is at {100 * charge:.0f} %, and a take-off needs {100 * least:.0f} %"
-        if control.accepted is None:
+        return None
+
+    def _crossed(self, order: OperatorOrder, sender: OrderSender, now: MonoNs) -> str | None:
+        if self._control.accepted is None:
             return None
-        earlier, given = control.accepted
+        earlier, given = self._control.accepted
         ago_s = seconds_between(given.at, now)
         if sender != given.sender and ago_s <= CROSSING_S and crossed(order, earlier):
             return f'{given.sender} ordered "{earlier.value}" {ago_s:.1f} s ago'
