@@ -37,6 +37,15 @@ _STATUS_S = 1.0
 """Time between two status lines if there is no watchdog, seconds."""
 
 
+def _frame_held_s(health: HealthSnapshot) -> float | None:
+    """Return how long vision has a frame already that is not done; None while that is not too long."""
+    frames = health.flows.get("Frame")
+    if frames is None or frames.age_s is None or frames.age_s <= FRAME_S:
+        return None
+    done = sum(n for verdict, n in health.frames.items() if verdict != Verdict.REPLACED.value)
+    return frames.age_s if frames.count > done else None
+
+
 def stuck(health: HealthSnapshot, flying: bool) -> str | None:
     """Return why the pipeline is not alive, as text; None while it is.
 
@@ -49,11 +58,8 @@ def stuck(health: HealthSnapshot, flying: bool) -> str | None:
         return "guidance has not begun"
     if age_s > GUIDANCE_S:
         return f"guidance has decided nothing for {age_s:.1f} s"
-    frames = health.flows.get("Frame")
-    if frames is not None and frames.age_s is not None and frames.age_s > FRAME_S:
-        done = sum(n for verdict, n in health.frames.items() if verdict != Verdict.REPLACED.value)
-        if frames.count > done:
-            return f"vision has not been done with a frame for {frames.age_s:.1f} s"
+    if (held_s := _frame_held_s(health)) is not None:
+        return f"vision has not been done with a frame for {held_s:.1f} s"
     flows: Mapping[str, float | None] = {kind: health.flows[kind].age_s for kind in SAMPLE_KINDS if kind in health.flows}
     ages = [age for age in flows.values() if age is not None]
     silence_s = min(ages) if ages else None

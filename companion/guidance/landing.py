@@ -498,6 +498,18 @@ class LandingGuidance:
         estimate = knowledge.relative
         return estimate if fit_to_steer(estimate, knowledge.at, self._guidance.stale_after_s) else None
 
+    def _wind_over_drone(self, knowledge: Knowledge) -> WindOverDrone | None:
+        """Return the wind by the drone's own lean, by the ship's report where it says nothing, or None."""
+        body = knowledge.body
+        if body is None:
+            return None
+        tilt = self._tilt if knowledge.tilt_max_deg is None else structs.replace(self._tilt, max_deg=knowledge.tilt_max_deg)
+        air = wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
+        if air is not None and air.known:
+            return air
+        way = self.vessel_track.velocity_ned(knowledge.at)
+        return wind_by_ship(self._ship_wind, knowledge.at, way, tilt, body.heading_rad, self._view) or air
+
     def command(self, knowledge: Knowledge, unconfirmed: Reason | None = None) -> Command | None:
         """Run one guidance cycle; return its command, None while guidance leaves the vehicle alone.
 
@@ -507,12 +519,7 @@ class LandingGuidance:
         now = knowledge.at
         self._now = max(self._now, now)
         self._flight.wind = watched_wind(self._flight.wind, knowledge)
-        tilt = self._tilt if knowledge.tilt_max_deg is None else structs.replace(self._tilt, max_deg=knowledge.tilt_max_deg)
-        body = knowledge.body
-        self._air = None if body is None else wind_over_drone(self._flight.wind, tilt, body.heading_rad, self._view)
-        if body is not None and (self._air is None or not self._air.known):
-            way = self.vessel_track.velocity_ned(now)
-            self._air = wind_by_ship(self._ship_wind, now, way, tilt, body.heading_rad, self._view) or self._air
+        self._air = self._wind_over_drone(knowledge)
         place: VesselPosition | Reason | None = None
         if self._guidance.rendezvous.enabled and self.state in _BY_REPORTS:
             if self._attitude is not None:

@@ -19,7 +19,7 @@ from companion.guidance.controller import Controller, FieldOfView, Knowledge
 from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
 from companion.guidance.monitor import Monitor, Witnesses
-from companion.guidance.operator.arbiter import OperatorArbiter
+from companion.guidance.operator.arbiter import Chosen, OperatorArbiter
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
@@ -403,14 +403,19 @@ class Pilot:
         shadows = tuple(b for b in believed if b.path != steering)
         changes = self.landing.changed()
         phase, charge = chosen.phase or self.state.value, self.landing.charge
-        why = chosen.limit or chosen.reason or self._why(belief)
-        for further in ("" if refusal is None or self.state in GROUND else refusal.text, charge):
-            if further not in why:
-                why = f"{why}; {further}" if why else further
-        limit, why = ("; ".join(filter(None, (text, self.landing.ignoring))) for text in (chosen.limit, why))
+        limit, why = self._texts(chosen, belief, refusal)
         made = self.landing.forecast_made(now)
         ahead = None if made is None else DeckOutlook.of(made)
         return Decision(now, phase, chosen.command, belief, shadows, why, limit, changes, response, ahead, charge)
+
+    def _texts(self, chosen: Chosen, belief: RelativeState | None, refusal: Reason | None) -> tuple[str, str]:
+        """Return the limit that changed the command, and the reason for what is flown, as the operator reads them."""
+        why = chosen.limit or chosen.reason or self._why(belief)
+        for further in ("" if refusal is None or self.state in GROUND else refusal.text, self.landing.charge):
+            if further not in why:
+                why = f"{why}; {further}" if why else further
+        ignoring = self.landing.ignoring
+        return "; ".join(filter(None, (chosen.limit, ignoring))), "; ".join(filter(None, (why, ignoring)))
 
     def _witnesses(self, known: Knowledge) -> Witnesses:
         """Return what the monitor knows in this cycle."""

@@ -96,6 +96,16 @@ class FlightWatch(NullObserver):
         if type(sample) is Range:
             self._range = sample
 
+    def _reason(self, decision: Decision | None, situation: ControlSituation) -> str:
+        mission, by = self._pilot.landing.mission, self._pilot.operator.ordered_by
+        goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
+        if by is not None and (mission.lands_here or mission.state in (State.PAUSED, State.ABORTED)):
+            goal = f"ordered by {by}"
+        # With the motors cut nothing flies, and the sensors of a drone that lies there say nothing of interest.
+        silent = decision is None or decision.reason == ORDERED.text or situation is ControlSituation.EMERGENCY
+        reason = "" if decision is None or silent else decision.reason
+        return "; ".join(filter(None, (goal if by is not None or not reason else "", reason)))
+
     def state(self, sender: OrderSender) -> FlightState:
         """Return the present state as this sender sees it."""
         now, decision = self._clock.now(), self.decision
@@ -104,18 +114,11 @@ class FlightWatch(NullObserver):
         height_m = self._range_m(now) if belief is None else belief.height_m
         hand, (below, over_pad) = self._pilot.operator.hand, self.below(now)
         taken_from, why = self._pilot.operator.hand_taken or (None, "")
-        mission, by = self._pilot.landing.mission, self._pilot.operator.ordered_by
-        goal = "" if mission.state not in FLOWN else "to stay over the pad" if mission.stays else "to land"
-        if by is not None and (mission.lands_here or mission.state in (State.PAUSED, State.ABORTED)):
-            goal = f"ordered by {by}"
         situation = self._pilot.operator.situation(now)
-        # With the motors cut nothing flies, and the sensors of a drone that lies there say nothing of interest.
-        silent = decision is None or decision.reason == ORDERED.text or situation is ControlSituation.EMERGENCY
-        said = "" if decision is None or silent else decision.reason
         return FlightState(
             situation=situation.value,
             phase="" if decision is None else decision.phase,
-            reason=sender.reads("; ".join(filter(None, (goal if by is not None or not said else "", said)))),
+            reason=sender.reads(self._reason(decision, situation)),
             hand=None if hand is None else sender.reads(str(hand)),
             yours=hand == sender,
             hand_taken=sender.reads(why) if sender == taken_from else "",

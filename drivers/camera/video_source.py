@@ -169,9 +169,28 @@ class _Reader:
         o = self._o
         if not self._live and not Path(o.device).is_file():
             raise BadInput(f"{o.device}: no such file")
+        if (container := self._open_container()) is None:
+            return
+        if not container.streams.video:
+            raise BadInput(f"{o.device}: there is no video in it")
+        stream = self._stream = video_of(container, self._size)
+        self.coded = predicts_frames(stream)
+        self._timed = has_times(container)
+        self._held_most = packets_held(stream) if self._live else 0
+        self._backlog = _BACKLOG_MOST if self._live and not self._timed else 0
+        stream.thread_type = "SLICE" if self._live else "AUTO"
+        rate = stream.average_rate
+        self.rate_hz = float(rate) if rate else 30.0
+        if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
+            self.rate_hz = 30.0
+        self._begin()
+
+    def _open_container(self) -> InputContainer | None:
+        """Open the file or stream; None if it is bytes of JPEGs, which need no container."""
+        o = self._o
         try:
             if self._live and self._open_bytes():
-                return
+                return None
             self._container = open_video(
                 raw(o.device) if self._bytes is None else self._bytes,
                 self._size,
@@ -185,19 +204,7 @@ class _Reader:
             if self._live:
                 raise CameraLost("absent", f"{o.device}: {why.strerror}") from why
             raise BadInput(f"{o.device}: not a video that can be read ({why.strerror})") from why
-        if not self._container.streams.video:
-            raise BadInput(f"{o.device}: there is no video in it")
-        stream = self._stream = video_of(self._container, self._size)
-        self.coded = predicts_frames(stream)
-        self._timed = has_times(self._container)
-        self._held_most = packets_held(stream) if self._live else 0
-        self._backlog = _BACKLOG_MOST if self._live and not self._timed else 0
-        stream.thread_type = "SLICE" if self._live else "AUTO"
-        rate = stream.average_rate
-        self.rate_hz = float(rate) if rate else 30.0
-        if not math.isfinite(self.rate_hz) or self.rate_hz <= 0:
-            self.rate_hz = 30.0
-        self._begin()
+        return self._container
 
     def _refused(self, why: ImageRefused) -> DecklanderError:
         text = f"{self._o.device}: {why}"

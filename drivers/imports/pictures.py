@@ -12,7 +12,7 @@ A table of attitudes is CSV with the header `time_s,roll_deg,pitch_deg` and, if 
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
@@ -201,6 +201,17 @@ def _in_us(value: Decimal | datetime, unit: str) -> int | None:
 HEADER = ("time_s", "roll_deg", "pitch_deg")
 
 
+def _numbers_of(row: Mapping[str, str], where: str) -> list[float]:
+    """Return a row's time, s, and its roll, pitch and yaw, degrees. Raises BadInput."""
+    with refused(f"{where}: not a number", TypeError, ValueError):
+        numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
+    if not all(map(math.isfinite, numbers)):
+        raise BadInput(f"{where}: not a finite number")
+    if any(abs(angle_deg) > 360.0 for angle_deg in numbers[1:]):
+        raise BadInput(f"{where}: an angle beyond 360 degrees: the table has other units")
+    return numbers
+
+
 def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
     """Return the attitudes in order of time; one with an absurd time is left out, and reported.
 
@@ -213,12 +224,7 @@ def attitudes(path: Path, tell: Tell = quiet) -> list[Sample]:
         raise BadInput(f"{path}: column {missing[0]!r} is missing; the header must be {','.join(HEADER)} and may have yaw_deg")
     table, twice = dict[float, list[float]](), 0
     for row in rows:
-        with refused(f"{path}, line {rows.line_num}: not a number", TypeError, ValueError):
-            numbers = [float(row[name]) for name in HEADER] + [float(row.get("yaw_deg") or 0.0)]
-        if not all(map(math.isfinite, numbers)):
-            raise BadInput(f"{path}, line {rows.line_num}: not a finite number")
-        if any(abs(angle_deg) > 360.0 for angle_deg in numbers[1:]):
-            raise BadInput(f"{path}, line {rows.line_num}: an angle beyond 360 degrees: the table has other units")
+        numbers = _numbers_of(row, f"{path}, line {rows.line_num}")
         twice += numbers[0] in table
         table.setdefault(numbers[0], numbers)
     if not table:

@@ -353,7 +353,7 @@ class Autopilot:
 
     def _on_own_message(self, known: _Known, message: Message, received_at: MonoNs) -> None:
         """Process a message that is the autopilot's own."""
-        name, sender = message.get_type(), known.identity.address
+        name = message.get_type()
         if known.lost:
             known.lost = False
             self._roster.uids.clear()
@@ -361,29 +361,9 @@ class Autopilot:
             _log.info("autopilot: connected again, requesting its streams")
         known.received_at = received_at
         self.counts[name] += 1
-        if name == "HEARTBEAT":
-            known.beat_at, known.mute = received_at, False
-            self._roster.on_own_heartbeat(message)
-        elif name == "TIMESYNC":
-            known.sync.on_message(message, received_at)
-        elif name == "STATUSTEXT":
-            for severity, text in self._joined.on_message(message, sender):
-                self.texts.append((received_at, severity, text))
-                known.sampler.on_text(text, received_at)
-        elif name == "COMMAND_ACK" and not is_for(message, self.links.identity):
+        if name == "COMMAND_ACK" and not is_for(message, self.links.identity):
             return
-        elif name == "COMMAND_ACK" and message.result != mav.MAV_RESULT_IN_PROGRESS:
-            if (message.target_system, message.target_component) == self.links.identity:
-                known.streamer.on_answer(int(message.command), accepted=message.result == mav.MAV_RESULT_ACCEPTED)
-        elif name == "EVENT":
-            self.events.append(int(message.id))
-        elif name == "AUTOPILOT_VERSION":
-            self._on_version(known, message)
-        elif name in ("PARAM_VALUE", "PARAM_ERROR"):
-            known.parameters.on_message(message)
-            known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
-            known.sampler.jerk_max_m_s3 = jerk_max_m_s3(known.parameters.values)
-            known.sampler.tilt_max_deg = tilt_max_deg(known.identity.stack, known.parameters.values)
+        self._on_kind(name, known, message, received_at)
         known.streams.on_message(message, received_at)
         samples = known.sampler.samples(message, received_at)
         for sample in samples:
@@ -398,6 +378,30 @@ class Autopilot:
             known.streamer.on_velocity(position.v_body_ned, position.p_body_ned, received_at)
         elif name in ("ATTITUDE_QUATERNION", "ATTITUDE") and known.sampler.attitude is not None:
             known.streamer.on_attitude(known.sampler.attitude)
+
+    def _on_kind(self, name: str, known: _Known, message: Message, received_at: MonoNs) -> None:
+        """Process what only messages of this kind hold, and the samples do not."""
+        if name == "HEARTBEAT":
+            known.beat_at, known.mute = received_at, False
+            self._roster.on_own_heartbeat(message)
+        elif name == "TIMESYNC":
+            known.sync.on_message(message, received_at)
+        elif name == "STATUSTEXT":
+            for severity, text in self._joined.on_message(message, known.identity.address):
+                self.texts.append((received_at, severity, text))
+                known.sampler.on_text(text, received_at)
+        elif name == "COMMAND_ACK" and message.result != mav.MAV_RESULT_IN_PROGRESS:
+            if (message.target_system, message.target_component) == self.links.identity:
+                known.streamer.on_answer(int(message.command), accepted=message.result == mav.MAV_RESULT_ACCEPTED)
+        elif name == "EVENT":
+            self.events.append(int(message.id))
+        elif name == "AUTOPILOT_VERSION":
+            self._on_version(known, message)
+        elif name in ("PARAM_VALUE", "PARAM_ERROR"):
+            known.parameters.on_message(message)
+            known.sampler.inertial_delay_s = inertial_delay_s(known.identity.stack, known.parameters.values)
+            known.sampler.jerk_max_m_s3 = jerk_max_m_s3(known.parameters.values)
+            known.sampler.tilt_max_deg = tilt_max_deg(known.identity.stack, known.parameters.values)
 
     def _tell_hand(self, known: _Known, now: MonoNs) -> None:
         """Say in the vehicle's status who has taken it, as soon as that or the autopilot's word for it changes."""

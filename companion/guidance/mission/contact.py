@@ -128,7 +128,18 @@ def watched(watch: ContactWatch, imu: Imu) -> ContactWatch:
     turned_rad_s = abs(turn_rad_s - watch.turn_rad_s)
     turn_rad_s = watch.turn_rad_s + (1.0 - math.exp(-dt / MEAN_S)) * (turn_rad_s - watch.turn_rad_s)
     touch = watch.touch if turned_rad_s < TURNED_RAD_S else Impact(now, "gyro", turned_rad_s=turned_rad_s, doubtful=True)
-    fresh = structs.replace(fresh, turn_rad_s=turn_rad_s, touch=touch)
+    return _pushed(watch, structs.replace(fresh, turn_rad_s=turn_rad_s, touch=touch), now, dt)
+
+
+def _pushed(watch: ContactWatch, fresh: ContactWatch, now: MonoNs, dt: float) -> ContactWatch:
+    """Return the memory after the upward force of a sample.
+
+    Args:
+        watch: the memory before the sample.
+        fresh: the memory without a push, and with the sample's turn rate.
+        dt: the time since the sample before, s.
+    """
+    up = fresh.up_m_s2
     push = up - watch.mean_m_s2
     last_s = math.inf if watch.newest is None else seconds_between(watch.newest.at, now)
     if push <= LEAST_M_S2:

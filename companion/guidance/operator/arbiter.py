@@ -295,6 +295,9 @@ class OperatorArbiter:
         if status.emergency and not self._was_cut and control.cut is None:
             self._stops = self._stops.on_stop(Stop.EMERGENCY, now, "the vehicle cut its motors")
         self._was_cut = status.emergency
+        self._follow_landing(control, status, now)
+
+    def _follow_landing(self, control: Control, status: VehicleStatus, now: MonoNs) -> None:
         landing = control.landing
         over = status.flying is False or status.emergency or status.taken is not None
         over = over or (status.flying is True and not control.lands_unheard)
@@ -493,12 +496,7 @@ class OperatorArbiter:
                 self._control = replace(by_hand, landing=None, called_off=ended)
                 guided.hold()
             case OperatorOrder.LAND:
-                flying = None if guided.vehicle is None else guided.vehicle.flying
-                aloft, unheard = guided.may_begin and flying is not False, flying is None
-                kept = None if aloft else given
-                self._control = replace(control, landing=kept, lands_unheard=unheard, hand=None, take_off=None, called_off=None)
-                if aloft:
-                    guided.land(given.at)
+                self._order_landing(control, given)
             case OperatorOrder.ABORT | OperatorOrder.HOLD:
                 self._control = replace(control, hand=None, take_off=None, landing=None, called_off=given)
                 watch = Reason(ReasonCause.SERVICE, detail=given.sender.name.strip("()"))
@@ -517,6 +515,15 @@ class OperatorArbiter:
                 self._control = replace(control, hand=None)
             case OperatorOrder.RESET:
                 self._control = replace(control, cut=None, reset=given, warned=False)
+
+    def _order_landing(self, control: Control, given: Given) -> None:
+        guided = self._guided
+        flying = None if guided.vehicle is None else guided.vehicle.flying
+        aloft, unheard = guided.may_begin and flying is not False, flying is None
+        kept = None if aloft else given
+        self._control = replace(control, landing=kept, lands_unheard=unheard, hand=None, take_off=None, called_off=None)
+        if aloft:
+            guided.land(given.at)
 
     def _hold(self, sender: OrderSender, now: MonoNs, why: str) -> None:
         """Take the hand from a sender that is gone, and hover."""

@@ -238,17 +238,22 @@ def _pad(place: PlaceMemory, belief: RelativeState | None, *, axes: bool, spread
     return _Frame(p, spread_m, yaw_rad, belief.v_pad_level[:2] + body_v)
 
 
+def _heights_m(place: PlaceMemory, now: MonoNs) -> tuple[float | None, float | None]:
+    """Return the range below, and the height above the start: one that is not reported any more would bar a climb for good."""
+    range_m = above_start_m = None
+    if place.range is not None and seconds_between(place.range.stamp.measured_at, now) <= _RANGE_S:
+        range_m = place.range.range_m
+    baro = place.baro
+    if baro is not None and place.ground_baro_m is not None and seconds_between(baro.stamp.measured_at, now) <= _BARO_S:
+        above_start_m = baro.height_m - place.ground_baro_m
+    return range_m, above_start_m
+
+
 def _vertical(
     down: float, options: LimitOptions, place: PlaceMemory, belief: RelativeState | None, now: MonoNs, *, manual: bool
 ) -> tuple[float, list[Limit]]:
     """Return the vertical velocity within the limits, m/s down: each limit only moves it towards zero."""
-    range_m = above_start_m = None
-    if place.range is not None and seconds_between(place.range.stamp.measured_at, now) <= _RANGE_S:
-        range_m = place.range.range_m
-    # A height that is not reported any more would bar a climb for good.
-    baro = place.baro
-    if baro is not None and place.ground_baro_m is not None and seconds_between(baro.stamp.measured_at, now) <= _BARO_S:
-        above_start_m = baro.height_m - place.ground_baro_m
+    range_m, above_start_m = _heights_m(place, now)
     above_pad_m = None if belief is None else belief.height_m
     known = sorted(height_m for height_m in (above_start_m, range_m, above_pad_m) if height_m is not None)
     if down < 0.0 and known:
