@@ -157,7 +157,7 @@ class ClockMap:
         self._count = min(self._count + 1, _MEMORY)
         self._excess_s += ((difference - offset) / NS_PER_S - self._excess_s) / (self._count + _PRIOR)
         self._known = not self._rate.disagrees(remote, now) and (self._rate.proven or not self._o.claimed)
-        # How late a message is without a map, nobody knows: then it is stamped by arrival.
+        # Without a map it is unknown how late a message is: then it is stamped by arrival.
         measured_at = (remote + offset + round(late_s / 2 * NS_PER_S) if self._known else now) - self._floor_ns
         if self._newest_remote is None or remote >= self._newest_remote:
             self._newest_remote = remote

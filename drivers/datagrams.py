@@ -42,7 +42,7 @@ class WaitingDatagrams:
         self._received = received
         self._lost: Exception | None = None
         self.refused = 0
-        """Number of times that the peer refused: nobody listens there."""
+        """Number of times that the peer refused: no program listens there."""
         self.taken_at = clock.now()
         """Time when a waiting datagram was last taken."""
         self._wall_ahead_ns: int | None = None

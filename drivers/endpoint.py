@@ -1,6 +1,6 @@
 """Parse the address of a MAVLink link from its URL.
 
-udpin://0.0.0.0:14550            listen; whoever sends is a peer and is answered
+udpin://0.0.0.0:14550            listen; each sender is a peer and is answered
 udpout://192.168.1.10:14550      send there from a port of our own
 tcp://127.0.0.1:5760             connect there
 serial:///dev/ttyAMA0:921600     a serial port and its speed
@@ -35,7 +35,7 @@ class Endpoint(Struct, frozen=True):
 
     @property
     def is_private(self) -> bool:
-        """True if nobody but this computer, or the far end of a cable, can reach it."""
+        """True if only this computer, or the far end of a cable, can reach it."""
         return self.scheme == "serial" or self.host in _LOOPBACK
 
     def __str__(self) -> str:

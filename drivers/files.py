@@ -104,7 +104,7 @@ def opened(path: Path, largest: Largest, where: str = "") -> BufferedReader:
     """
     where = where or str(path)
     with file_errors(where), refused(where, ValueError):
-        # Without a wait: what was a file a moment ago may be a pipe that nobody writes to.
+        # Without a wait: what was a file a moment ago may be a pipe without a writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _check(os.fstat(descriptor), largest, where)

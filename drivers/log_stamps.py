@@ -30,7 +30,7 @@ _AFTER = 5
 
 
 def quiet(text: str) -> None:
-    """Take what nobody wants to hear."""
+    """Drop a remark."""
 
 
 def timeline(stamps_us: Sequence[int], tell: Tell = quiet) -> list[int | None]:

@@ -27,7 +27,7 @@ _CLIENT = 16  # bytes of a client and its request's number behind that header
 
 
 class Request(NamedTuple):
-    """A request of the service std_srvs/Trigger, or a message on a topic, which nobody expects an answer to."""
+    """A request of the service std_srvs/Trigger, or a message on a topic, which has no answer."""
 
     sent_at_ns: int
     """Unix time of its sender's clock."""

@@ -69,7 +69,7 @@ async def resolve(host: str, port: int, timeout_s: float, kind: int = socket.SOC
     found = _asking.get(key)
     if found is None or found.get_loop() is not loop:
         found = _asking[key] = loop.create_future()
-        found.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may be left to read it
+        found.add_done_callback(lambda done: done.cancelled() or done.exception())  # no caller may be left to read it
         _ask(key, loop, found)
     try:
         async with asyncio.timeout(timeout_s):
@@ -118,7 +118,7 @@ class WireCounts(Struct):
     """Message counts of one endpoint over all its openings, and the addresses that were tried in vain."""
 
     refused: int = 0
-    """Datagrams that the other computer refused, because nobody listens there."""
+    """Datagrams that the other computer refused, because no program listens there."""
     late: int = 0
     """Messages that were dropped because the line did not take them in time, or because a newer one of their kind came."""
     tried: set[Any] = field(default_factory=set)
@@ -436,7 +436,7 @@ async def open_wire(
         waits: let datagrams wait for `Wire.take`, stamped by the kernel; otherwise each is processed when it arrives.
 
     Raises:
-        Recoverable: it cannot be opened now (no such device yet, nobody listens, port in use, no such name).
+        Recoverable: it cannot be opened now (no such device yet, no listener, port in use, no such name).
     """
     counts = WireCounts() if counts is None else counts
     if endpoint.scheme == "serial":
@@ -512,7 +512,7 @@ async def _watch(endpoint: Endpoint, wire: Datagrams | _Stream, address: Any, cl
         if wire.quiet_s <= most_s or seconds_between(looked_at, clock.now()) <= most_s:
             continue
         looked_at = clock.now()
-        what = f"{address[0]} refuses: nobody listens there" if refused else f"not a byte of {address[0]} for {SILENT_S:.0f} s"
+        what = f"{address[0]} refuses: nothing listens there" if refused else f"not a byte of {address[0]} for {SILENT_S:.0f} s"
         if isinstance(wire, _Stream):
             wire.stop(what)
             return

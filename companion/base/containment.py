@@ -284,7 +284,7 @@ async def run(
 
 
 async def uncancelled(name: str, body: Body) -> None:
-    """Run `body`, and treat a cancellation that nobody requested as a fault: a TaskGroup would take it for an orderly end.
+    """Run `body`, and treat a cancellation that was not requested as a fault: a TaskGroup would take it for an orderly end.
 
     `sys.exit` in the body or in one of its tasks is a fault too: it would end the process silently, and with exit code 0.
     A task's `SystemExit` arrives here only with the loop of `companion.base.signals`; asyncio's own loop breaks.

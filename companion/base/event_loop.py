@@ -98,7 +98,7 @@ def _complete(loop: asyncio.AbstractEventLoop, future: asyncio.Future[T]) -> T:
     """Run the loop until the future is done; return its result.
 
     The loop re-raises a `SystemExit` after it has stored it in the task that raised it. Nothing is lost, so the loop is run
-    again. A Ctrl-C that nobody handles ends it.
+    again. A Ctrl-C without a handler ends it.
     """
     while True:
         try:

@@ -74,7 +74,7 @@ class ConnectionLimits(Struct):
     """The open connections from the oldest to the newest."""
 
     def lift(self, transport: asyncio.BaseTransport | None) -> None:
-        """Bound this connection no longer: its peer has proven who it is, and whoever admitted it bounds it from here on."""
+        """Bound this connection no longer: its peer has proven who it is, and its handler bounds it from here on."""
         for protocol in [protocol for protocol, open_one in self.open.items() if open_one is transport]:
             protocol.lift()
 
@@ -207,7 +207,7 @@ class HttpServer:
 
     @property
     def full(self) -> bool:
-        """True if nobody else may watch now."""
+        """True if there are as many viewers as may be."""
         return self.viewers >= self.settings.viewers_max
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""The service's log: one line a message, written by a thread of its own, so that nobody who logs ever waits for who reads.
+"""The service's log: one line a message, written by a thread of its own, so that logging never waits for a reader.
 
 A journal on a card that hangs, a terminal after Ctrl-S or a container's log driver may stop reading at any time. Lines wait in a
 bounded queue. Lines that find it full are counted, and the count is written when lines flow again. One place in the source is one
@@ -194,7 +194,7 @@ class ServiceLog(logging.Handler):
             self.release()
         for name, words in reports:
             self._say(name, words)
-        if missing and not self._say(__name__, f"{missing} lines of this log are missing: nobody took them"):
+        if missing and not self._say(__name__, f"{missing} lines of this log are missing: its reader did not take them"):
             self._missing += missing
 
     def _say(self, name: str, words: str) -> bool:
@@ -226,11 +226,11 @@ def logging_to_stderr(level: str) -> Iterator[ServiceLog]:
     logging.basicConfig(level=level.upper(), handlers=[service_log], force=True)
     logging.captureWarnings(True)
     received = _hear() if PROCESS.heeding else None
-    said, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(service_log, words)
+    before_words, PROCESS.last_words = PROCESS.last_words, lambda words: _last_words(service_log, words)
     try:
         yield service_log
     finally:
-        PROCESS.last_words = said
+        PROCESS.last_words = before_words
         if received is not None:
             sys.stdout.flush()
             for number, before in enumerate(received, 1):

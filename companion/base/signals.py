@@ -33,7 +33,7 @@ _ECHO_S = 0.1
 """A second signal within this time counts as a copy: shells and launchers pass on what the terminal has already sent."""
 _WATCHER = "signals"
 _WORDS_S = 0.1
-"""Time for writing the last log lines, s: standard error may be a pipe that nobody reads."""
+"""Time for writing the last log lines, s: standard error may be a pipe without a reader."""
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
 
 
@@ -77,7 +77,7 @@ class Process:
         self.extra_s = 0.0
         """Time by which both deadlines are later, s."""
         self.last_words: Callable[[str], None] = _to_stderr
-        """Writes what is said just before the process ends; it may block."""
+        """Writes the last words before the process ends; it may block."""
 
     @property
     def heeding(self) -> bool:

@@ -51,7 +51,7 @@ class Worker:
                 settle: Callable[[], object] = partial(future.set_result, function(*args))
             except BaseException as why:
                 settle = partial(future.set_exception, why)
-            with suppress(RuntimeError):  # the loop is closed, so nobody waits any more
+            with suppress(RuntimeError):  # the loop is closed, so nothing waits any more
                 loop.call_soon_threadsafe(lambda: future.done() or settle())
 
         if self._calls.qsize() >= self._waiting:

@@ -249,7 +249,7 @@ def _add_servers(parser: argparse.ArgumentParser) -> None:
 def _with_http(settings: Settings, args: argparse.Namespace, place: HttpSettings, folder: Path, token: str) -> Settings:
     """Return the settings with the page, live data or both on a port.
 
-    With a page the token is needed, and the approach waits for the operator: whoever opens the page sees it from its
+    With a page the token is needed, and the approach waits for the operator: a browser that opens the page shows it from its
     beginning.
 
     Args:

@@ -101,12 +101,12 @@ class KeptFlight:
 
     @property
     def on_start(self) -> Callable[[Health], None] | None:
-        """Takes the counters of the flight's health before it begins; None if nobody wants them."""
+        """Takes the counters of the flight's health before it begins; None if they are not wanted."""
         return None if self.recorder is None else self.recorder.watch
 
     @property
     def on_truth(self) -> Callable[[Truth], None] | None:
-        """Takes the true states; None if nobody wants them."""
+        """Takes the true states; None if they are not wanted."""
         return None if self.recorder is None else self._keep
 
     def end(self, ending: Ending, wall_s: float, time: str) -> str:

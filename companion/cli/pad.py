@@ -206,7 +206,7 @@ def clicked(photo: bytes, tell: Callable[[str], None]) -> F64:
 
     Args:
         photo: as the browser reads it, JPEG or PNG.
-        tell: is given the address of the page, which nobody can guess.
+        tell: is given the address of the page, which cannot be guessed.
     """
     secret, found = secrets.token_urlsafe(16), list[F64]()
     answers = {

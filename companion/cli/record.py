@@ -292,7 +292,7 @@ def _import_into(output: Path, sources: Sequence[_Source], settings: Settings) -
                 if (width, height) != (camera.width, camera.height):
                     of_camera = f"the camera file {settings.camera.file} describes {camera.width}x{camera.height} px"
                     raise BadInput(f"frames are {width}x{height} px, {of_camera}")
-                # Nobody looked at it yet: hence the verdict REPLACED.
+                # It was not looked at yet: hence the verdict REPLACED.
                 at = datum.stamp.received_at
                 recorder.on_frame(ProcessedFrame(datum, None, None, Verdict.REPLACED, at, at))
                 counts["frames"] += 1
@@ -388,7 +388,7 @@ def upload(folder: Path, to: Storage, sent: set[Path] | None = None) -> Iterator
 
 
 def finished(path: Path) -> bool:
-    """Return whether nobody writes this recording any more. Raises OSError."""
+    """Return whether this recording is written no more. Raises OSError."""
     with path.open("rb") as stream:
         stream.seek(0, 2)
         if stream.tell() >= 2 * len(MAGIC):
@@ -414,7 +414,7 @@ def _sent(path: Path, to: Storage, sent: set[Path]) -> str | None:
                 to.system.put_file(str(path), there)
     sent.add(path)
     digest = _digest(path.open("rb"))
-    with _right("read back (s3:GetObject), so that nobody knows whether it arrived whole"):
+    with _right("read back (s3:GetObject), so that it is not known whether it arrived whole"):
         arrived = _digest(to.system.open(there, "rb"))
     sent.discard(path)
     if arrived != digest:

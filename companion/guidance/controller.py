@@ -97,13 +97,13 @@ class Knowledge(Struct, frozen=True):
     climb_max_m_s: float | None = None
     """The fastest climb that the controller requests; None if it does not say."""
     climb: ClimbResponse | None = None
-    """Response of the vehicle's climb, by its file; None where nobody says."""
+    """Response of the vehicle's climb, by its file; None where it has none."""
     jerk_max_m_s3: float | None = None
     """The vehicle's own limit of the jerk; None leaves it at its response file's."""
     tilt_max_deg: float | None = None
     """The largest tilt to ask for, by the vehicle's own limit; None leaves it at its response file's."""
     trusts_velocity: bool = True
-    """False while the integrity guard refuses the measured velocity: nobody closes a loop on it."""
+    """False while the integrity guard refuses the measured velocity: no loop is closed on it."""
     unfelt: bool = False
     """True if the body's acceleration comes from its tilt, as its accelerometer is lost: it says nothing of the air's push."""
     swell_rad_s: float = SWELL_RAD_S

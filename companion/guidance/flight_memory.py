@@ -4,7 +4,7 @@ A new process finds a vehicle that flies and knows neither who ordered what nor 
 the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; one where
 it is goes on down, to the place that was meant; a hold or an abort of a person stays one; and a height that was large enough
 spares a climb. A vehicle that a person had, or that is in another mode than it was left in, is a person's until he orders to
-begin: he may have chosen that mode while nobody watched.
+begin: he may have chosen that mode while no service watched.
 """
 
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ class FlightMemory(Struct, frozen=True):
     height_m: float | None = None
     """Least height over the deck; None if it is not known."""
     modes: tuple[str, ...] = ()
-    """Modes of a vehicle that nobody has taken since; empty where modes do not say who has it."""
+    """Modes of a vehicle that has not been taken since; empty where modes do not say who has it."""
     stays: bool = False
     """The order was to stay over the pad, not to land."""
     here: tuple[float, float] | None = None

@@ -79,8 +79,8 @@ _NIS_WEIGHT = 0.1  # weight of the newest frame in the mean of the normalized in
 _IMPOSSIBLE_S = 1.0
 """Time for which an impossible motion of the deck stands against the estimate, s."""
 _UNFELT_S = 1.0
-"""Time without the accelerometer after which nobody lands, s: thrust and sightings show the speed late, and the vehicle swings
-about the pad by 0.7 m/s. The commit that is under way ends before."""
+"""Time without the accelerometer after which no landing goes on, s: thrust and sightings show the speed late, and the vehicle
+swings about the pad by 0.7 m/s. The commit that is under way ends before."""
 _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
 _BARO_S = 2.5
@@ -131,7 +131,7 @@ class PilotOptions(Struct, frozen=True):
     tilt: TiltResponse = field(default_factory=lambda: shipped_response("ardrone2").tilt)
     """Response of the vehicle's tilt, by its file; by default an AR.Drone's."""
     climb: ClimbResponse | None = None
-    """Response of its climb, by its file; None where nobody says."""
+    """Response of its climb, by its file; None where it has none."""
     view: FieldOfView | None = None
     """The field of a camera that leans with the body; None of another."""
     resumes: bool = False
@@ -233,7 +233,7 @@ class LandingGuidance:
         self.vessel_track = VesselTrack(options.reports)
         self._ship_wind: ReportedWind | None = None
         self._vessel: VesselPosition | Reason | None = None
-        """The ship's place by reports in the newest guidance cycle, or why it is not known; None while nobody flies by it."""
+        """The ship's place by reports in the newest guidance cycle, or why it is not known; None while it is not flown by."""
 
     @property
     def state(self) -> State:
@@ -412,7 +412,7 @@ class LandingGuidance:
             self._resume(status)
 
     def _resume(self, status: VehicleStatus) -> None:
-        """Go on where a service before this one was in this flight, as far as that is known and nobody else has the vehicle."""
+        """Go on where a service before this one was in this flight, as far as that is known and no other has the vehicle."""
         before, self.before, at = self.before, None, status.stamp.received_at
         event = resumed_by(before, at, status.mode)
         if before is None or event is None or status.taken is not None:
@@ -425,7 +425,7 @@ class LandingGuidance:
         self._changes += changes
 
     def doubted(self, now: MonoNs) -> IntegrityAlert | None:
-        """Return why nobody lands by an estimate that is consistent by itself; None if it may be landed by."""
+        """Return why an estimate that is consistent by itself may not be landed by; None if it may."""
         if self._impossible is not None and seconds_between(self._impossible, now) <= _IMPOSSIBLE_S:
             return IntegrityAlert.DECK
         unfelt_s = 0.0 if self._unfelt_since is None else seconds_between(self._unfelt_since, now)
@@ -668,7 +668,7 @@ class LandingGuidance:
         return next((bar.reason for bar in bars if bar.reason not in glare), None), next(iter(glare), None)
 
     def on_verdict(self, verdict: Verdict) -> None:
-        """Take the verdict on a frame, whoever gave it."""
+        """Take the verdict on a frame."""
         if verdict is Verdict.FUSED:
             self._frames.clear()
         else:

@@ -1,7 +1,7 @@
 """The run-time monitor: what may be flown by a velocity that nothing confirms, and what is flown instead.
 
 Out of sight of the pad a drone knows its speed by one sensor, and every loop, the estimate and the geofence follow it. A constant
-error of that sensor is a constant speed that nobody sees. The monitor (ASTM F3269: a small part with few rules and a recovery
+error of that sensor is a constant speed that no sensor shows. The monitor (ASTM F3269: a small part with few rules and a recovery
 that is always there) uses none of what it watches. Its witnesses are the sight of the pad, a position, the vehicle's own hold,
 and the accelerometer across a leap. `RULES` has what each rule watches, by which witness, its limit, and what is flown then.
 

@@ -257,7 +257,7 @@ class Pilot:
     def belief(self, now: MonoNs) -> RelativeState | None:
         """Return the estimate to steer by, marked inconsistent where it must not be.
 
-        That is while nobody has agreed to land on the pad it refers to, and while the deck's estimated motion is impossible.
+        That is while its pad is not the one that is to be landed on, and while the deck's estimated motion is impossible.
         """
         believed = self.estimator.at(now)
         if believed is None:
@@ -434,8 +434,8 @@ class Pilot:
 
     def _why(self, belief: RelativeState | None) -> str:
         """Return the machine's reason, the estimate's alerts and the sensors that it does without, as text."""
-        said = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
-        alerts = (*said, *self.estimator.lost)
+        of_belief = () if belief is None else (*(alert.value for alert in belief.alerts), *belief.lost)
+        alerts = (*of_belief, *self.estimator.lost)
         return "; ".join(dict.fromkeys(filter(None, (self.landing.reason, *alerts))))
 
 

@@ -259,7 +259,7 @@ def _spawn(options: SenderOptions) -> tuple[subprocess.Popen[bytes], socket.sock
 
 
 def _abandon(starting: asyncio.Future[tuple[subprocess.Popen[bytes], socket.socket]]) -> None:
-    """Leave a sender alone that nobody waits for any more: without a service it ends by itself."""
+    """Leave a sender alone that is no longer waited for: without a service it ends by itself."""
     if not starting.cancelled() and starting.exception() is None:
         process, ours = starting.result()
         ours.close()

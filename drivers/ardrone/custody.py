@@ -307,7 +307,7 @@ class CommandStreamer:
 
     @property
     def others_at(self) -> MonoNs | None:
-        """Newest report of what nobody ordered: a pilot's landing, or one for a low battery or silence, or an emergency."""
+        """Newest report of what was not ordered here: a pilot's landing, one for a low battery or silence, or an emergency."""
         return self._custody.others_at
 
     def on_navdata(self, navdata: Navdata, now: MonoNs) -> None:

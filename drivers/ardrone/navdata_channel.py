@@ -43,7 +43,7 @@ _REORDER = 64
 """A datagram this far behind the newest was not overtaken on its way: the drone has restarted."""
 _LOOK_S = 0.05  # time between two checks for silence at most; a quarter of the permitted silence if that is shorter
 _UNREQUESTED_S = 0.04
-"""Time after which the channel itself takes what nobody requested."""
+"""Time after which the channel itself takes datagrams that no cycle has taken."""
 
 
 def _of_every_datagram(r: Navdata, stamp: Stamp, options: ArDroneOptions, attitude_cov: F64) -> list[Sample]:
@@ -300,7 +300,7 @@ class NavdataChannel:
                 self._socket = None
 
     async def _watch(self, socket: WaitingDatagrams) -> None:
-        """Take what nobody requested, and request the stream again when it is silent; as `run`."""
+        """Take datagrams that no cycle has taken, and request the stream again when it is silent; as `run`."""
         opened = asked = good_at = self._clock.now()
         before = self._counters.navdata_refused.copy()
         socket.send(OPENING)

@@ -245,7 +245,7 @@ class ArDroneOptions(VehicleOptions, frozen=True, forbid_unknown_fields=True, ta
         return wanted
 
     def timeouts(self, seconds: int) -> list[AtCommand]:
-        """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: nobody may be there to wait."""
+        """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: no service may be there to wait."""
         return [Ctrl(CTRL_ACK), ConfigIds(*self.IDS), Config("general:com_watchdog", str(seconds)), Ctrl(CTRL_ACK)]
 
 

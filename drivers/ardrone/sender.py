@@ -33,7 +33,7 @@ _OPENING_DATAGRAMS = 8
 (_NOTHING,) = as_text([HOVER])
 """The command that carries that number. It must not reset the drone's watchdog, whose bit shows why a drone is landing."""
 _ALONE_DATAGRAMS = 5
-"""Number of datagrams that repeat the commands for a lost or returned service, as nobody waits for an acknowledgement then."""
+"""Number of datagrams that repeat the commands for a lost or returned service, as no acknowledgement is waited for then."""
 _STATUS_S = 0.02
 """Least time between two statuses; shorter than the usual period, as the service expects a status for each command."""
 _REQUEST_AGAIN_S = 0.5  # time between two requests for navdata, and between two refusals of one port that belong together

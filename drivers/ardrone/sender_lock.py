@@ -78,7 +78,7 @@ def _is_marked(marked: str) -> bool:
         try:
             other.connect(marked)
         except BlockingIOError:
-            return True  # nobody accepts, and the queue is full
+            return True  # its process does not accept, and the queue is full
         except OSError:
             return False
     return True

@@ -45,7 +45,7 @@ class Setup:
     """Configures the drone when the link is new and whenever the drone has restarted.
 
     `needed` is set while there is something to do, `done` while the drone is known to be configured; `handshake` is held by
-    whoever uses the acknowledge bit.
+    every user of the acknowledge bit.
     """
 
     def __init__(

@@ -98,7 +98,7 @@ class _Refused(Exception):
 
 def _play(gst: Any, out: int, description: str, width: int, height: int) -> int:
     caps = f"video/x-raw,format=BGR,width={width},height={height}"
-    # Of frames that nobody took in time only the newest is kept.
+    # Of frames that were not taken in time only the newest is kept.
     newest = "queue leaky=downstream max-size-buffers=1"
     ending = f"{newest} ! videoconvert ! {caps} ! appsink name=frames max-buffers=1 drop=true sync=false"
     try:

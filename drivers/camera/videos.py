@@ -24,7 +24,7 @@ _PARSED = frozenset({"h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "h263"
 _PID_LEAST = 16
 """A stream within a transport stream has its PID as number, and that is no lower."""
 _MARGIN = 4
-"""Frames may have this many times the expected pixels: one of a wrong size is better named by whoever knows the camera."""
+"""Frames may have this many times the expected pixels: one of a wrong size is better named where the camera is known."""
 
 _INTERLACED_LEAST = 5  # interlaced frames after which their share is checked
 _INTERLACED_SHARE = 0.2

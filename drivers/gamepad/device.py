@@ -142,7 +142,7 @@ class EventDevice:
 
 
 def gamepads(folder: Path = FOLDER) -> Iterator[EventDevice]:
-    """Yield each gamepad that is plugged in, open; whoever takes one closes it.
+    """Yield each gamepad that is plugged in, open; the caller closes it.
 
     Raises:
         SetupImpossible: permission is missing for every device there is.

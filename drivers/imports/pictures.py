@@ -156,12 +156,12 @@ def _value(cell: str) -> Decimal | datetime | None:
 
 
 def _column_of_time(table: Path, numbers: list[int], head: list[str], row: list[str], names: set[str]) -> int:
-    said = [k for k in numbers if _TIME.search(head[k])]
+    named_times = [k for k in numbers if _TIME.search(head[k])]
     named = next(k for k, cell in enumerate(row) if cell.replace("\\", "/").rpartition("/")[2] in names)
     dated = [
         k for k in numbers if isinstance(at := _value(row[k]), datetime) or (at is not None and at >= 10 ** (_UNIX_DIGITS - 1))
     ]
-    for columns in (said, numbers, dated, [k for k in said or dated if abs(k - named) == 1][:1]):
+    for columns in (named_times, numbers, dated, [k for k in named_times or dated if abs(k - named) == 1][:1]):
         if len(columns) == 1:
             return columns[0]
     raise BadInput(

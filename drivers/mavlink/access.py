@@ -4,7 +4,7 @@ MAVLink's ids prove nothing, so an id counts only together with the link and the
 
 - the autopilot is one (link, peer, system, component); what comes over its peer, a router's included, may command;
 - a system that the settings name is held to the first peer that uses its id, until that one falls silent;
-- whoever signs with the link's key may command;
+- a sender that signs with the link's key may command;
 - an address that the settings connect to is sent telemetry, and may not command;
 - every other sender is unknown: only its HEARTBEATs are read, to find the autopilot, and nothing is sent to it.
 """

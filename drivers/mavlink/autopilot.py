@@ -88,7 +88,7 @@ class _Known(Struct):
     hand: Hand = Hand.NOBODY
     """The holder of the vehicle that was last reported."""
     released_at: MonoNs | None = None
-    """Time when the vehicle was taken from this program; None while nobody has it."""
+    """Time when the vehicle was taken from this program; None while it was not."""
     suspended: bool = False
     """True while it is not clear who is the autopilot, and the hold for that was sent."""
 
@@ -418,7 +418,7 @@ class Autopilot:
             self.samples.offer(sampler.status(now, link_ok=self.connected))
 
     def _taken(self, known: _Known, now: MonoNs) -> str | None:
-        """Return who has taken the vehicle, with the autopilot's critical text about it; None while nobody has."""
+        """Return who has taken the vehicle, with the autopilot's critical text about it; None while it is not taken."""
         if known.streamer.hand is not Hand.PERSON or known.sampler.condition.armed is False:
             known.released_at = None
             return None

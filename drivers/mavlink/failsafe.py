@@ -28,7 +28,7 @@ _NAMES_NONE = re.compile(r"^(pre)?arm:|clear|stopped|regained|recovered|warning"
 _AFTER_S = 2.0
 """Time after a failsafe without a name came in which a text names it, s; a later one names another."""
 _TOGETHER_S = 0.5
-"""Time between two texts or events of one failsafe, s; what is said later, in the same words too, is of another."""
+"""Time between two texts or events of one failsafe, s; later ones, of the same words too, are of another."""
 _WORDS_S = 5.0
 """Time for which a text names what comes after it, and a failsafe that only a text names counts as in force, s.
 
@@ -81,7 +81,7 @@ class FailsafeWatch:
         self.newest: Failsafe | None = None
         """The newest one, in force or over."""
         self._critical = self._breached = self._armed = False
-        self._said: tuple[MonoNs, str] | None = None
+        self._newest_words: tuple[MonoNs, str] | None = None
         """The newest text that names one, and its time."""
 
     def on_heartbeat(self, m: Message, at: MonoNs) -> None:
@@ -106,25 +106,25 @@ class FailsafeWatch:
             self._names(text.strip(), at)
 
     def _names(self, words: str, at: MonoNs) -> None:
-        said, now = self._said, self.now
-        together = said is not None and seconds_between(said[0], at) <= _TOGETHER_S
+        newest_words, now = self._newest_words, self.now
+        together = newest_words is not None and seconds_between(newest_words[0], at) <= _TOGETHER_S
         if words in _UNNAMED:
             # PX4's text says less than the event that comes with it.
-            words = said[1] if said is not None and together else words or UNNAMED
-        self._said = at, words
-        was_named = now is not None and said is not None and said[0] >= now.since
+            words = newest_words[1] if newest_words is not None and together else words or UNNAMED
+        self._newest_words = at, words
+        was_named = now is not None and newest_words is not None and newest_words[0] >= now.since
         if now is not None and not together and (was_named or seconds_between(now.since, at) > _AFTER_S):
             self.now = None  # another one
         self._judge(at)
 
     def _judge(self, at: MonoNs) -> None:
-        said = self._said
-        lasts = said is not None and seconds_between(said[0], at) <= _WORDS_S
+        newest_words = self._newest_words
+        lasts = newest_words is not None and seconds_between(newest_words[0], at) <= _WORDS_S
         if not self._armed or not (self._critical or self._breached or lasts):
             self.now = None
             return
         unnamed = "the fence is breached" if self._breached else UNNAMED
-        words = said[1] if said is not None and lasts else unnamed if self.now is None else self.now.words
+        words = newest_words[1] if newest_words is not None and lasts else unnamed if self.now is None else self.now.words
         if self.now is None or words != self.now.words:
             self.now = Failsafe(at if self.now is None else self.now.since, words)
         self.newest = self.now

@@ -168,7 +168,7 @@ def tended(gimbal: Gimbal, autopilot: Autopilot, clock: Clock) -> Repeated:
 
     def send() -> None:
         if autopilot.unclear is not None:
-            return  # a command would reach whoever has the gimbal's ids
+            return  # a command would reach another system with the gimbal's ids
         for message in gimbal.due(autopilot, clock.now()):
             autopilot.send(message)
 

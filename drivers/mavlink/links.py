@@ -342,7 +342,7 @@ _SECRET = frozenset({"SETUP_SIGNING"})
 """Messages that carry a key in clear: no tap, and so no recording, sees them."""
 
 Tap = Callable[[MonoNs, str, Literal["in", "out"], bytes, str], None]
-"""Told of every message that crosses a link: when, the link's address, which way, its bytes, its name. It must be quick."""
+"""Called with every message that crosses a link: when, the link's address, which way, its bytes, its name. It must be quick."""
 
 
 class Links:
@@ -458,7 +458,7 @@ async def open_links(
 
     Args:
         identity: (system, component) to send as; `Links.identify` changes it.
-        access: who is known before anything is received; nobody where it is None.
+        access: who is known before anything is received; None for no sender.
         waits: let datagrams wait until `Links.waiting`; otherwise they are processed when they arrive.
     """
     async with kept_open(Links(options, clock, identity, access, waits=waits), options) as links:

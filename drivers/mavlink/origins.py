@@ -139,7 +139,7 @@ class Origins:
         return self._of_another(message, boot, at, sequence)
 
     def due(self, now: MonoNs) -> list[Message]:
-        """Return messages that waited for long enough: they are the autopilot's where nobody else is there."""
+        """Return messages that waited for long enough: they are the autopilot's where no other one is there."""
         out = []
         while self._held and seconds_between(self._held[0][0], now) > _HELD_S:
             _, message = self._held.popleft()

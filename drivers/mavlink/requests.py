@@ -86,7 +86,7 @@ RATES_HZ: dict[Stack, dict[str, float]] = {
 }
 """Message rates, Hz, to request on a new link. Until then ArduPilot sends only HEARTBEAT and TIMESYNC."""
 POLLED = "HEARTBEAT"
-"""The message that is requested one by one where its stream is refused or slower than asked for."""
+"""The message that is requested one by one where its stream is refused or slower than requested."""
 INSTEAD = {"ATTITUDE_QUATERNION": "ATTITUDE", "GIMBAL_DEVICE_ATTITUDE_STATUS": "MOUNT_ORIENTATION"}
 """The message to request if the first is refused: ArduCopter 4.0 does not stream the quaternion, nor older mounts theirs."""
 
@@ -102,7 +102,7 @@ def message_id(name: str) -> int:
 
 
 def is_for(message: Message, us: tuple[int, int]) -> bool:
-    """Return whether a COMMAND_ACK is for this program: it names it, or nobody, as one of MAVLink 1 does."""
+    """Return whether a COMMAND_ACK is for this program: it names this program, or none, as one of MAVLink 1 does."""
     return message.target_system in (0, us[0]) and message.target_component in (0, us[1])
 
 

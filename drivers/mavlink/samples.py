@@ -452,7 +452,7 @@ class MavlinkSampler:
         made = self._parts(m, *makes)
         stamp = self._clock.stamp(boot_us(m.time_usec), received_at)
         out: list[Sample] = []
-        # ArduPilot is asked for RAW_IMU, which comes faster.
+        # RAW_IMU, which is requested of ArduPilot, comes faster.
         if moved and made[0] is not None and self._takes("IMU", _sensor(m), received_at, 2.0):
             out.append(contract.known(Imu, self._inertial(stamp), *made[0]))
         if pressed and made[-1] is not None and self._takes("pressure", _sensor(m), received_at):

@@ -273,7 +273,7 @@ class SetpointStreamer:
                 self._take_velocity(command, now, v_deck_level)
 
     def _withholds(self, command: Command) -> bool:
-        """Return whether a command, whoever gives it, may not leave in any form."""
+        """Return whether a command, of guidance or a person, may not leave in any form."""
         if self._authority is Authority.SETPOINTS or isinstance(command, CutMotors | LeaveEmergency):
             return False
         return self._authority is Authority.NOTHING or isinstance(command, Velocity | Lean | TakeOff)

@@ -1,4 +1,4 @@
-"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to whoever requests ours. No I/O.
+"""TIMESYNC, both ways: where the autopilot's clock stands against ours, and answers to requests for ours. No I/O.
 
 A request carries our time in ts1; the answer mirrors it and adds the remote time tc1. The remote clock was read between the two,
 so half the round trip bounds the error; the shortest recent round trip counts. Source: mavlink.io, "Time
@@ -44,7 +44,7 @@ class TimeSync:
         self.answers = 0
         """The number of accepted answers."""
         self.refused = 0
-        """Answers too slow, impossible, or not asked for."""
+        """Answers too slow, impossible, or to no request."""
         self.jumps = 0
         """The number of times that the remote clock was reset."""
         self.jumped_s = 0.0

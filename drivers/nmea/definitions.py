@@ -24,7 +24,7 @@ Fields = Mapping[str, Read | str]
 _R = Read()
 _WHERE = dict.fromkeys(("lat", "lat_dir", "lon", "lon_dir"), _R)
 _NO_MODE = ("N", "M", "S")
-"""Modes of a place that nobody measured: none, typed in, simulated."""
+"""Modes of a place that was not measured: none, typed in, simulated."""
 _REST = Read(instead="the other parts of the motion")
 _TRUE = "the one from true north is read"
 _UNITS = "the standard has one unit there"

@@ -95,8 +95,8 @@ def pashr(m: Any) -> ShipMotion:
     if text(m, 11) == "0":
         raise Refused("bad_quality")
     found = motion(text(m, 4), text(m, 5), text(m, 6), text(m, 2) if text(m, 3) == "T" else "", -1.0)
-    said = max((within(text(m, index), 0.0, 90.0) or 0.0 for index in (7, 8)), default=0.0)
-    return found._replace(sigma_tilt_rad=max(found.sigma_tilt_rad, math.radians(said)))
+    sigma_deg = max((within(text(m, index), 0.0, 90.0) or 0.0 for index in (7, 8)), default=0.0)
+    return found._replace(sigma_tilt_rad=max(found.sigma_tilt_rad, math.radians(sigma_deg)))
 
 
 def xdr(cells: Sequence[str]) -> list[tuple[str, ShipMotion]]:

@@ -242,7 +242,7 @@ class NmeaReader:
     """Reads the sentences of one ship.
 
     Args:
-        mmsi: whose AIS reports are taken; 0 for nobody's.
+        mmsi: whose AIS reports are taken; 0 for none.
         simulated: whether what says that it is simulated is worth what a fix is: a rehearsal.
         choice: chooses one of several sources; shared by all that report of one ship.
         name: prefix of the names of sources and sensors, where several streams of one ship are read.

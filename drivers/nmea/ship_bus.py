@@ -111,7 +111,7 @@ def greeting() -> bytes:
 class Devices:
     """The devices of a network and their addresses.
 
-    A device has its NAME here. If it sent for long before it said that, it keeps the name of its first address.
+    A device has its NAME here. If it sent for long before it sent that, it keeps the name of its first address.
     """
 
     def __init__(self) -> None:

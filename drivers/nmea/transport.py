@@ -146,7 +146,7 @@ async def sentences_from(endpoint: Endpoint, source: SentenceSource, clock: Cloc
     """Open the way by which sentences arrive, and close it on leaving.
 
     Raises:
-        Recoverable: it cannot be opened: the address is not of this computer, another program has it, nobody listens there, or
+        Recoverable: it cannot be opened: the address is not of this computer, another program has it, none listens there, or
             there is no such device.
     """
     with refused(f"vessel.nmea {endpoint}", Recoverable, by=Recoverable):

@@ -12,7 +12,7 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 
 _GAP_S = 0.25
-"""Longest time between two commands or two reports, s: between those of late cycles nobody knows what was flown."""
+"""Longest time between two commands or two reports, s: between those of late cycles it is unknown what was flown."""
 _SETTLING_S = 1.2
 """Time after which the response to what came before the first command is over, s."""
 

@@ -69,7 +69,7 @@ class AxisDisturbances(NamedTuple):
     speed_m_s: GaussMarkov = GaussMarkov(0.012, 1.0)
     accel_m_s2: GaussMarkov = GaussMarkov(0.04, 4.0)
     deck_m_s2: GaussMarkov = GaussMarkov(0.06, 1.2)
-    """Acceleration of the deck sideways that nobody knows."""
+    """Unknown acceleration of the deck sideways."""
     sample_m_s2: float = 0.043
     """One sample of the accelerometer."""
     drag_1_s: float = 0.35

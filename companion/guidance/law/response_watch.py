@@ -164,7 +164,7 @@ def asked(watch: ResponseWatch, now: MonoNs, command: Command | None, known_s: f
     """Take the command of a guidance cycle, and fit when it is time.
 
     Args:
-        command: what was commanded in flight; None if the vehicle stands, or nobody commands.
+        command: what was commanded in flight; None if the vehicle stands, or is not commanded.
         known_s: standard deviation up to which a delay counts as known.
     """
     watch = structs.replace(watch, asked=(*watch.asked, (now / NS_PER_S, *asked_lean(command))))
@@ -322,7 +322,7 @@ class ResponseIdentifier:
         if not self._on:
             return None
         if state is State.TAKEN:
-            # It was another's before its report said so, up to a second later.
+            # It was another's before it reported so, up to a second later.
             self._watch = landed(self._watch)
         on_deck = state in _ON_DECK
         self._watch = asked(self._watch, now, command if flown and not on_deck else None, self._known_s)

@@ -18,7 +18,7 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 
 class OtherPad(Struct, frozen=True):
-    """The pad that is asked about."""
+    """The pad in question."""
 
     track: int | None = None
     seen_since: MonoNs | None = None

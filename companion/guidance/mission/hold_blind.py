@@ -64,7 +64,7 @@ def keep_up(aim: Command | None, p: Progress, s: GuidanceCycle, o: GuidanceOptio
     estimate, deck = s.estimate, s.knowledge.deck
     if p.state is not State.HOLD_BLIND or not isinstance(aim, Velocity | Lean) or estimate is None or deck is None:
         return aim
-    # Without a velocity a climb is flown by the tilt that the wind asked for, which the wrong velocity has falsified.
+    # Without a velocity a climb is flown by the tilt against the wind, which the wrong velocity has falsified.
     if s.hold.over_ground or not s.knowledge.trusts_velocity or estimate.alerts or estimate.age_s(s.at) <= o.stale_after_s:
         return aim
     down_m_s = aim.v_level.item(2)

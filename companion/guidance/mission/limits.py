@@ -232,7 +232,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
 
 
 def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> list[Comparison]:
-    """Return the comparisons of what the contact will be like; none where nobody looks ahead."""
+    """Return the comparisons of what the contact will be like; none without a forecast."""
     ahead = knowledge.at_contact
     if ahead is None:
         return []

@@ -121,7 +121,7 @@ def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if p.state in GROUND:
         return p, waiting.on_ground(p, s)
     if not p.begun or p.state is State.TAKEN or (p.stood and p.state in ENDED):
-        # A velocity would take an autopilot from whoever flies it; a hover takes nothing.
+        # A velocity would take an autopilot from its pilot; a hover takes nothing.
         return p, Hover()
     return phase_of(p.state, o).aim(replace(p, climbs_m_s=0.0), s, o)
 

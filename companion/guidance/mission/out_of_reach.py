@@ -27,7 +27,7 @@ _LIFT_M = 0.3
 _WANTED: Mapping[State, float] = {State.COMMIT: 0.0, State.REFUSED: 2.0, State.GAVE_UP: 2.0}
 """Known height below which a drone without sight is low, in safe heights; 1 in states that are not named.
 
-A commit that must not end awaits its contact. A drone that refused may hover for long, over a deck that nobody sees.
+A commit that must not end awaits its contact. A drone that refused may hover for long, over a deck out of sight.
 """
 _BY_TIME = FLOWN | {State.REFUSED, State.GAVE_UP}
 """States that climb where nothing says how high the drone is. Where a person ordered it to hold, only a witness moves it."""
@@ -57,7 +57,7 @@ def climbed(p: Progress, s: GuidanceCycle, since_last_s: float) -> Progress:
 def flown_by_others(p: Progress) -> Progress:
     """Return the memory after a cycle whose command was another one: a climb that was ordered was not flown.
 
-    Where a person flies a vehicle that waits, nobody knows how high it is afterwards, and its place is the new one.
+    Where a person flies a vehicle that waits, its height afterwards is not known, and its place is the new one.
     """
     p = replace(p, climbs_m_s=0.0)
     return p if p.state in FLOWN else replace(p, seen_height_m=math.inf, climbed_m=0.0, held=None)

@@ -92,11 +92,11 @@ def still(p: Progress, s: GuidanceCycle, o: GuidanceOptions, searches: Velocity 
     """
     estimate = usable(s, o)
     climb_m_s = out_of_reach.climb_m_s(p, s, o)
-    # A pad that nobody has agreed to land on is not followed either: its deck may fall away.
+    # A pad that is not to be landed on is not followed either: its deck may fall away.
     if estimate is None or (p.track is not None and estimate.track != p.track):
         p = replace(p, held=None)
         return (p, searches) if searches and not out_of_reach.low(p, s, o) else climbs(p, s, climb_m_s)
-    # A sight so short ago comes back as likely; a question about another pad is best asked from higher up.
+    # A sight so short ago comes back as likely; another pad is best judged from higher up.
     waits = p.state is not State.ANOTHER_PAD and estimate.age_s(s.at) <= o.tries.climb_after_s
     if waits or (estimate.height_m >= o.tries.safe_height_m and not out_of_reach.near(p, s, o)):
         climb_m_s = 0.0

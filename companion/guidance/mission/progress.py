@@ -124,7 +124,7 @@ class GuidanceCycle(Struct, frozen=True, eq=False):
     vessel: VesselPosition | Reason | None = None
     """The ship's place by reports, or why it is not known; None where the drone does not fly to it."""
     silent_s: float = 0.0
-    """Time since the newest sample of the vehicle: while it is silent, nobody knows that it obeys."""
+    """Time since the newest sample of the vehicle: while it is silent, it may not obey."""
     feels: bool = True
     """True if the accelerometer is alive, so that its silence means no contact."""
     late_s: float | None = None

@@ -3,8 +3,8 @@
 The drone goes round the ship to the hold-off point, then flies an expanding square over the pad's reported place. All of it is
 level or upward. Points are written in the ship's own axes (forward, starboard of the pad), so the pattern moves and turns with
 her. Without reports it hovers, in wind it looks upwind. Either state ends with the pad in sight (INTERCEPT), refuses where
-nobody could land, and gives up when the time of the search is over. A pad that another attempt has lost is not looked for here:
-see HOLD_BLIND.
+no landing is possible, and gives up when the time of the search is over. A pad that another attempt has lost is not looked
+for here: see HOLD_BLIND.
 
 Source: IAMSAR Manual, volume II, section 5.6: expanding square search, whose tracks lengthen by one spacing at every second turn.
 """

@@ -103,7 +103,7 @@ class Control(Struct, frozen=True):
     landing: Given | None = None
     """A landing that guidance does not fly, as it knows of no flight: the vehicle's own is requested."""
     lands_unheard: bool = False
-    """True if nobody knew then whether the vehicle flies: guidance flies it as soon as it knows of a flight.
+    """True if it was not known then whether the vehicle flies: guidance flies it as soon as it knows of a flight.
 
     What lifts off after an order on the ground is not landed by it.
     """

@@ -51,7 +51,7 @@ def within(v: F64, p: F64, radius_m: float, corners: Corners, brake_s: float, sp
     """Return the velocity with as much of it removed as keeps the place inside the fence.
 
     Inside, the velocity towards the fence is at most the distance to it over `brake_s`. Outside, nothing is left that leads
-    farther away; whatever leads back stays. Where the place may be outside and nobody knows on which side, nothing is left.
+    farther away; whatever leads back stays. Where the place may be outside, on an unknown side, nothing is left.
 
     Args:
         v: (2,) m/s relative to the fence's centre.

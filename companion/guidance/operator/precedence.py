@@ -88,7 +88,7 @@ TABLE: Mapping[OperatorOrder, Mapping[ControlSituation, Rule]] = MappingProxyTyp
         #                     unheard ground done guided held over manual landing cutting emergency
         OperatorOrder.EMERGENCY: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y),
         OperatorOrder.MANUAL: _row(_U, _Y, _Y, _Y, _Y, _Y, Rule.IDLE, _Y, _C, _E),
-        # Anybody stops a vehicle that somebody else flies by hand, as he stops guidance: it hovers, and that one is told by whom.
+        # Anybody stops a vehicle that somebody else flies by hand, as he stops guidance: it hovers, and he reads who did.
         OperatorOrder.ABORT: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _C, _E),
         OperatorOrder.HOLD: _row(_Y, _Y, _Y, _Y, _Y, _Y, _Y, _Y, _C, _E),
         OperatorOrder.LAND: _row(_Y, _Y, _Y, _Y, _Y, _Y, _H, _Y, _C, _E),

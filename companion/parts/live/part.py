@@ -1,6 +1,6 @@
 """The live data of a flight for Foxglove and Lichtblick, by a websocket at /live.
 
-Whoever connects only watches: nothing of the flight can be changed here. A connection is bounded in bytes and time until it is
+A viewer only watches: nothing of the flight can be changed here. A connection is bounded in bytes and time until it is
 let in; then its subscriptions, its requests and what waits for it are bounded.
 """
 
@@ -172,7 +172,7 @@ class LiveViewer:
         self._served = served
         self._socket = socket
         self._subscriptions: dict[int, str] = {}
-        """The topics asked for, by the viewer's own numbers."""
+        """The topics requested, by the viewer's own numbers."""
         self._waiting: deque[str | bytes] = deque()
         self._waiting_bytes = 0
         self._ready = asyncio.Event()
@@ -335,7 +335,7 @@ class FoxgloveEndpoint:
         return socket
 
     def _refusal(self, request: web.Request) -> web.Response | None:
-        """Return the answer to whoever may not watch: without the token, from a page that is not named, or one too many."""
+        """Return the answer to a viewer that may not watch: without the token, from a page that is not named, or one too many."""
         if not self._server.allows(request):
             return web.Response(status=401, text="the token is missing or wrong\n", headers={"WWW-Authenticate": "Bearer"})
         origin = request.headers.get("Origin")

@@ -60,7 +60,7 @@ _ABOUT_MESSAGES = frozenset(
 )
 
 _HEARTBEAT_BOUNDS_S = 0.2, 2.0
-"""A component whose HEARTBEAT comes more rarely counts as lost; whoever is behind the autopilot's router may not request that."""
+"""A component whose HEARTBEAT comes more rarely counts as lost; a sender behind the autopilot's router may not request that."""
 
 Params = tuple[float, float, float, float, float, float, float]
 

@@ -4,7 +4,7 @@
     async with open_autopilot(...) as autopilot, speaking(component, autopilot, clock): ...
 
 The component is an observer of the service. The heartbeat stops when a vital part is down or guidance has stalled, so that
-nobody takes a dead pipeline for a live one. Any other part that is down (recorder, broker, metrics) is reported in a status
+a dead pipeline is not taken for a live one. Any other part that is down (recorder, broker, metrics) is reported in a status
 text and changes nothing else.
 
 The component lives inside the vehicle's context and is not vital itself: a fault in one message costs that message alone.

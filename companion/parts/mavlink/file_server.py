@@ -2,7 +2,7 @@
 
     server = FileServer(files)
     server.on_message(received, us)                      # queues the request
-    for message, source in server.due(now): ...          # at most one packet each `PERIOD_S`, whoever requests
+    for message, source in server.due(now): ...          # at most one packet each `PERIOD_S` for all senders together
 
 Each client has one session, number 0: MAVSDK's client knows no other, and a repeated request gets the first one's answer.
 

@@ -2,7 +2,7 @@
 
 The settings say at which of the two. Nothing of it takes the vehicle from a person or a failsafe
 (docs/decisions/mavlink.md): an order to begin is given to the arbiter, once in a
-journey, while nobody has ordered or taken anything in this flight, the pad is in sight, and the vehicle hovers or sinks over it.
+journey, while nothing was ordered or taken in this flight, the pad is in sight, and the vehicle hovers or sinks over it.
 
 Source: mavlink.io, common message set: MISSION_CURRENT (42) with MISSION_STATE, MISSION_ITEM_REACHED (46).
 PX4 reports no MISSION_STATE and goes from AUTO.MISSION to AUTO.LOITER behind the last item.
@@ -81,7 +81,7 @@ class Handover:
             case "HEARTBEAT":
                 seen = self._beat is not None and seconds_between(self._beat, now) <= _LAST_S
                 if (mode := autopilot.condition.mode) != self._journey.mode:
-                    # Nobody knows what chose a return whose beginning was not reported.
+                    # It is not known what chose a return whose beginning was not reported.
                     self._journey = self._next(mode, now, done=mode in _RETURNS and not seen)
                 self._beat = now
             case "MISSION_CURRENT":
@@ -124,7 +124,7 @@ class Handover:
         self._begin(name, journey.settled)
 
     def _free(self, autopilot: Autopilot, now: MonoNs) -> bool:
-        """Return whether nobody has ordered, held or taken anything in this flight; by the settings a failsafe may have."""
+        """Return whether nothing was ordered, held or taken in this flight; by the settings a failsafe may have."""
         condition, streamer = autopilot.condition, autopilot.streamer
         waits = self._pilot.state is State.READY and self._pilot.operator.situation(now) is ControlSituation.GUIDED
         if streamer is None or autopilot.unclear is not None:

@@ -158,7 +158,7 @@ class DeckVelocity:
     def _carried(self, now: MonoNs, left: Rested) -> F64:
         """Return the way of the ship that carried the deck from under a vehicle to under it again, (3,) m/s, level.
 
-        Whoever orders a landing is over the pad. The mean since the take-off has none of the waves that are in a deck's velocity
+        A landing is ordered over the pad. The mean since the take-off has none of the waves that are in a deck's velocity
         over some seconds; from elsewhere than over the pad it contradicts that velocity, which then stands.
         """
         positions, since_s = self._autopilot.positions, seconds_between(left.at, now)

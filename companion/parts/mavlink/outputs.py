@@ -477,7 +477,7 @@ class Outputs:
         return self.track.at(at), "no attitude"
 
     def _stale_s(self, now: MonoNs) -> float:
-        """Return the age of a sighting up to which a target leaves: where nobody else steers, longer in the last metre."""
+        """Return the age of a sighting up to which a target leaves: where no other setpoints leave, longer in the last metre."""
         seen = None if self.lead is None else self.track.at(now)
         low = seen is not None and float(seen.d_body_pad_ned[2]) < _BLIND_BELOW_M
         return max(self.stale_s, self.lead.blind_s) if self.lead is not None and low else self.stale_s

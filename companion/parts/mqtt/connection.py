@@ -307,7 +307,7 @@ class Connection(aiomqtt.Client):
     def _on_socket_register_write(self, client: Any, userdata: Any, sock: Any) -> None:
         """Watch the socket for room to write, unless it is closed by the time the loop gets to it.
 
-        The library hands the loop its number, which is then nobody's, or that of another socket.
+        The library hands the loop its number, which is then free, or that of another socket.
         """
 
         def write() -> None:
@@ -396,7 +396,7 @@ def _fault(failure: Exception) -> str:
 
 
 async def _entered(connection: Connection) -> Exception | None:
-    """Connect, and return why that failed. When cancelled, end the connecting thread first: nobody else closes its socket."""
+    """Connect, and return why that failed. When cancelled, end the connecting thread first: nothing else closes its socket."""
     async with asyncio.TaskGroup() as group:
         entering = group.create_task(_enter(connection))
         try:

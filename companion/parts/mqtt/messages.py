@@ -40,7 +40,7 @@ class Topics(Struct, frozen=True):
         return f"{ROOT}/{self.drone}/{leaf}"
 
     def allows_reply(self, topic: str) -> bool:
-        """Return whether `topic` is `reply` or one name below it: nobody can make us publish an answer elsewhere."""
+        """Return whether `topic` is `reply` or one name below it: no sender can make us publish an answer elsewhere."""
         below = topic.removeprefix(self.of("reply") + "/")
         return topic == self.of("reply") or (below != topic and _NAME.fullmatch(below) is not None)
 

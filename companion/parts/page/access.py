@@ -29,8 +29,8 @@ def refused_origin(headers: Mapping[str, str], names: Collection[str]) -> str | 
     """Return why the page that opens a connection is not our own, by the headers that a browser sets and no script can.
 
     A page of somebody else may have its name point to this computer after it was loaded: then both headers agree, and name a
-    host that we are not. An address is nobody else's. A proxy that has set `Host` to a name of its own tells the browser's in
-    `X-Forwarded-Host`, which no script can set on a websocket either.
+    host that we are not. An address belongs to one computer. A proxy that has set `Host` to a name of its own gives the browser's
+    in `X-Forwarded-Host`, which no script can set on a websocket either.
 
     Args:
         headers: those of the request, whose names are looked up in any case of letters.
@@ -57,7 +57,7 @@ def refused_origin(headers: Mapping[str, str], names: Collection[str]) -> str | 
 
 
 def _asked(headers: Mapping[str, str]) -> Iterator[str]:
-    """Yield the addresses that the browser may have asked for, without a scheme."""
+    """Yield the addresses that the browser may have requested, without a scheme."""
     port = headers.get("X-Forwarded-Port", "").partition(",")[0].strip()
     for name in ("Host", "X-Forwarded-Host"):
         host = headers.get(name, "").partition(",")[0].strip()

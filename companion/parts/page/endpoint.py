@@ -244,9 +244,9 @@ class PageEndpoint(NullObserver):
             self._tell(decision.at, level, f"{phase}: {change.reason.text}", todo)
 
     def on_order(self, handled: HandledOrder) -> None:
-        said = str(handled).removeprefix(f"{handled.sender}: {handled.order.value}")
+        outcome = str(handled).removeprefix(f"{handled.sender}: {handled.order.value}")
         named = WORDS["orders"].get(handled.order.value, handled.order.value)
-        self._tell(handled.at, "info" if handled.accepted else "warning", f"{handled.sender}: {named}{said}")
+        self._tell(handled.at, "info" if handled.accepted else "warning", f"{handled.sender}: {named}{outcome}")
 
     def on_frame(self, processed: ProcessedFrame) -> None:
         for tool in self._tools:
@@ -320,7 +320,7 @@ class PageEndpoint(NullObserver):
         return socket
 
     async def _login(self, socket: web.WebSocketResponse) -> LoginRequest | None:
-        """Wait for the token; refuse whoever does not name it in time."""
+        """Wait for the token; refuse a browser that does not name it in time."""
         try:
             async with asyncio.timeout(_LOGIN_S):
                 message = await socket.receive()

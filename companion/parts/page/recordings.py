@@ -52,7 +52,7 @@ _DOWNLOADS = 2  # downloads at a time
 
 
 # The reports that the page shows of recordings are each made by a process of its own while the vehicle is on the ground.
-# A report holds texts of whoever spoke to the service, so it is served into a sandbox: it is of no origin, and reaches neither
+# A report holds texts of all senders to the service, so it is served into a sandbox: it is of no origin, and reaches neither
 # this page nor its token.
 
 HEADERS: Mapping[str, str] = MappingProxyType(
@@ -68,7 +68,7 @@ IN_FLIGHT = "the vehicle flies, and its link is not to be shared with a download
 
 
 class Recordings(Tool):
-    """Lists the recordings, sends one to whoever has its address, and makes their reports, one at a time."""
+    """Lists the recordings, sends one to a browser that has its address, and makes their reports, one at a time."""
 
     kinds = (RecordingsRequest, DownloadRequest, ReportRequest)
 

@@ -1,7 +1,7 @@
 """The settings on the page: what is in force, and a text that replaces the settings file while the vehicle stands disarmed.
 
 A text is checked as `decklander config check` checks a file, and read at the next start of the service; nothing of it reaches a
-flight. Whoever has the page's token commands the vehicle. That must not grow into reading other files of the computer, writing
+flight. A browser with the page's token commands the vehicle. That must not grow into reading other files of the computer, writing
 into other folders, sending a password to another host or giving others rights at the next start: only the keys that are declared
 for it are changed (`estimator.contracts.keys`).
 """

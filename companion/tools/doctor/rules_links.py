@@ -294,7 +294,7 @@ _REFUSED = Row(
     "link-refused",
     _ERROR,
     lambda p: _first(p, lambda link: link.refused_datagrams > _REFUSED_MIN and link.bytes_in == 0),
-    "{0.url}: {0.refused_datagrams} messages refused, nobody listens there",
+    "{0.url}: {0.refused_datagrams} messages refused, no program listens there",
     "start the autopilot's side or the router, or correct address and port",
 )
 
@@ -354,7 +354,7 @@ RULES: tuple[Rule, ...] = (
         "raise the speed to 921600, connect RTS/CTS, or ask for fewer streams on that port"),
     Row("link-unsigned", _ADVICE,
         lambda p: _first(p, lambda link: link.signed is False and not parse_endpoint(link.url).is_private),
-        "{0.url}: not signed: whoever reaches that address first can be taken for the autopilot",
+        "{0.url}: not signed: the first sender to that address can be taken for the autopilot",
         "decklander keys make FILE, keys install --link URL FILE, then signing_key_file; or keep it to loopback"),
     Row("link-unknown-senders", _ADVICE,
         lambda p: None if p.autopilot is None else _first(p, lambda link: link.unknown_senders > 20),

@@ -34,7 +34,7 @@ class LinkSnapshot(Struct, frozen=True):
     behind_s: float = 0.0
     """Time by which the newest of those lay behind ours, s."""
     refused_datagrams: int = 0
-    """Number of datagrams that the other computer refused, because nobody listens there."""
+    """Number of datagrams that the other computer refused, because no program listens there."""
     late: int = 0
     """Number of messages that were dropped because the line did not take them in time."""
     text: int = 0
@@ -155,7 +155,7 @@ class ServiceSnapshot(Struct, frozen=True):
     beyond_sound: tuple[str, ...] = ()
     """Lines about limits that are wider than their own meaning allows."""
     lens_assumed: tuple[str, ...] = ()
-    """Lines about a lens that nobody has measured."""
+    """Lines about a lens that was not measured."""
     camera_fault: str | None = None
     """Description of the fault of the camera or pad file."""
     device_fault: str | None = None

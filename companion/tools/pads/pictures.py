@@ -1,7 +1,7 @@
 """Say which parts of a pad's file a person's own pictures show, and which they do not.
 
 The pad is searched in each picture as `decklander detect` does it. Unless all of it shows, it is searched in reversed light and
-without one part of it after another, too. By the pose of each of these, every border of the file is laid over the picture, and
+without one part of it after another, too. By the pose of each of these, every border of the file is drawn over the picture, and
 the light on both sides of it is compared with what the file says. The pose by which the most borders show counts. A border that
 does not show there is tried at other sizes about the pad's centre.
 """
@@ -73,7 +73,7 @@ class Found(Struct, frozen=True, eq=False):
     camera: Camera
     light: F32
     """Linear blue, green, red of the picture, (H, W, 3)."""
-    laid: tuple[tuple[F64, F64], ...] = ()
+    sampled: tuple[tuple[F64, F64], ...] = ()
     """Points inside and outside of each border, (2, N, 2) m, and the file's steps of light between them.
 
     Steps are (N, 3) blue, green, red; nan where the outer side is not known."""
@@ -91,37 +91,37 @@ class Found(Struct, frozen=True, eq=False):
 
     def lay(self, pad: Pad, borders: Sequence[Border]) -> Found:
         """Return the same with the pad's borders over it."""
-        ground, laid = LINEAR_LIGHT[list(dict(pad.paints)[pad.ground])] if pad.ground else np.full(3, np.nan), []
+        ground, sampled = LINEAR_LIGHT[list(dict(pad.paints)[pad.ground])] if pad.ground else np.full(3, np.nan), []
         for border in borders:
             px_per_m = np.linalg.norm(self.points(border.at + 1e-3 * border.normal) - self.points(border.at), axis=1) / 1e-3
             off = (_ACROSS_PX / np.maximum(px_per_m, 1e-3))[:, None] * border.normal
             sides = np.stack([border.at - off, border.at + off])
-            said = np.subtract(*(paint_at(pad, side, ground) for side in sides))[:, ::-1]
+            drawn_step = np.subtract(*(paint_at(pad, side, ground) for side in sides))[:, ::-1]
             # Where the file has one paint on both sides there is no border to be seen.
-            kept = ~(np.abs(said).max(axis=1) < 1e-6)
-            laid.append((sides[:, kept], said[kept]))
-        out = structs.replace(self, laid=tuple(laid))
+            kept = ~(np.abs(drawn_step).max(axis=1) < 1e-6)
+            sampled.append((sides[:, kept], drawn_step[kept]))
+        out = structs.replace(self, sampled=tuple(sampled))
         each = [_share(*out.steps(k)) for k in range(len(borders))]
         medians = [abs(float(np.median(one[np.isfinite(one)]))) for one in each if np.isfinite(one).sum() >= _FEWEST]
         return structs.replace(out, gain=max(_FAINTEST, *medians) if medians else 1.0)
 
     def steps(self, k: int, size: float = 1.0, turn: float = 0.0) -> tuple[F64, F64]:
         """Return the file's and the picture's steps of light across a border at a size and a turn, where it is in view."""
-        (sides, said), c, s = self.laid[k], math.cos(turn), math.sin(turn)
+        (sides, drawn_step), c, s = self.sampled[k], math.cos(turn), math.sin(turn)
         uv = self.points((sides @ (size * np.array([[c, s], [-s, c]]))).reshape(-1, 2)).reshape(sides.shape)
         h, w = self.light.shape[:2]
         kept = np.all((uv > 1.0) & (uv < (w - 2.0, h - 2.0)), axis=(0, 2))
         if not kept.any():
             return np.empty((0, 3)), np.empty((0, 3))
         light = cv2.remap(self.light, uv[:, kept].astype(np.float32), None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
-        return said[kept], np.asarray(light[0] - light[1], float)
+        return drawn_step[kept], np.asarray(light[0] - light[1], float)
 
     def follows(self, k: int, size: float = 1.0, turn: float = 0.0) -> F64:
         """Return for each point of a border in view by how much the picture's step is the file's: 1 all, negative if reversed."""
-        said, seen = self.steps(k, size, turn)
+        drawn_step, seen = self.steps(k, size, turn)
         if not len(seen):
             return np.empty(0)
-        share, common = _share(said, seen), seen.mean(axis=0)
+        share, common = _share(drawn_step, seen), seen.mean(axis=0)
         bare = seen @ common / max(float(np.linalg.norm(common)), 1e-9) * (_AGREES / _BARE_AGREES)
         return np.clip(np.where(np.isfinite(share), share, bare) / self.gain, -1.0, 1.0)
 
@@ -134,7 +134,7 @@ class Found(Struct, frozen=True, eq=False):
         """Return the same at the heading at which the most points follow the file."""
 
         def follows(turn: float) -> float:
-            return abs(float(sum(self.follows(k, turn=turn).sum() for k in range(len(self.laid)))))
+            return abs(float(sum(self.follows(k, turn=turn).sum() for k in range(len(self.sampled)))))
 
         best = max((math.tau * k / _TURNS for k in range(_TURNS)), key=follows)
         if follows(best) <= 1.1 * follows(0.0) + _FEWEST:
@@ -142,9 +142,9 @@ class Found(Struct, frozen=True, eq=False):
         return structs.replace(self, pose=self.pose.turned(max(best + np.radians(np.arange(-3.0, 3.5, 0.5)), key=follows)))
 
 
-def _share(said: F64, seen: F64) -> F64:
+def _share(drawn_step: F64, seen: F64) -> F64:
     """Return the picture's steps in those of the file; nan where these are not known."""
-    return np.asarray(np.sum(said * seen, axis=1) / np.sum(said * said, axis=1))
+    return np.asarray(np.sum(drawn_step * seen, axis=1) / np.sum(drawn_step * drawn_step, axis=1))
 
 
 def check_pictures(
@@ -162,15 +162,15 @@ def check_pictures(
         found[name] = _find(pad, drawn, camera, px)
         progress(len(found), len(pictures))
     shown = [_shown(drawn, borders, k, [of for of in found.values() if of is not None]) for k in range(len(borders))]
-    said: list[dict[str, Any]] = []
+    per_picture: list[dict[str, Any]] = []
     for name, of in found.items():
         if of is None:
-            said.append({"picture": name, "found": False})
+            per_picture.append({"picture": name, "found": False})
             continue
         centre, outlines = of.at(np.zeros((1, 2)))[0], [of.at(border.at) for border in borders]
         seen = {"without": of.lacks, "confidence": round(of.confidence, 4), "centre_px": centre, "outlines_px": outlines}
-        said.append({"picture": name, "found": True, **seen})
-    return {"pad": pad.name, "all_shown": all(one["is_shown"] for one in shown), "pictures": said, "borders": shown}
+        per_picture.append({"picture": name, "found": True, **seen})
+    return {"pad": pad.name, "all_shown": all(one["is_shown"] for one in shown), "pictures": per_picture, "borders": shown}
 
 
 def reduced(pad: Pad) -> Iterator[tuple[tuple[str, ...], Pad]]:

@@ -24,7 +24,7 @@ from estimator.vision.pad.rules import SIDES_MOST
 from estimator.vision.pad.shapes import PaintedPolygon, Region, borders_of, circle
 
 U8 = NDArray[np.uint8]
-_COLOURS_MOST = 16  # colours of a drawing that are told apart
+_COLOURS_MOST = 16  # colours of a drawing that are distinguished
 ACROSS_PX = 3000
 """Extent of what is drawn in a picture that is made of a drawing, px."""
 _ROUND = 0.006  # greatest scatter of a circle's radius, over it
@@ -34,7 +34,7 @@ _THINNEST = 0.45
 _GAP = 0.2  # bare share of what lies between a ring and an arrowhead that is apart from it
 _OTHER = 0.2  # bare share of an arrowhead that is another shape
 _LEAST_AREA = 1e-4
-"""Least area of a part over that of all that is painted: less is a speck."""
+"""Least area of a part over that of all that is painted: less is left out."""
 _CORNERS_MOST = 60  # corners of a traced outline
 _CHANGE_MOST = 0.02
 """Greatest change of a part's area by leaving out corners, over the area."""
@@ -85,7 +85,7 @@ def drawn(drawing: SvgDrawing, size_m: float | None, where: str, extent: str | N
         extent: "sheet" for that of the whole drawing, "paint" for that of what lies on its background, which then has the middle.
 
     Raises:
-        BadInput: it paints nothing, or not in plain colours, or nobody says the size.
+        BadInput: it paints nothing, or not in plain colours, or its size is not given.
     """
     coarse = 600.0 / max(drawing.width, drawing.height)
     size = math.ceil(coarse * drawing.width), math.ceil(coarse * drawing.height)

@@ -124,9 +124,9 @@ class SensorJudge(NullObserver):
             return None
         bow[:, 1] = np.unwrap(bow[:, 1], period=360.0)
         turned = np.diff(bow[:, 1])
-        said = np.interp(0.5 * (bow[1:, 0] + bow[:-1, 0]), turn[:, 0], turn[:, 1]) * np.diff(bow[:, 0])
-        squares = float(said @ said)
-        return float(said @ turned) / squares if squares > float(turned @ turned) * 1e-3 else None
+        reported_turn = np.interp(0.5 * (bow[1:, 0] + bow[:-1, 0]), turn[:, 0], turn[:, 1]) * np.diff(bow[:, 0])
+        squares = float(reported_turn @ reported_turn)
+        return float(reported_turn @ turned) / squares if squares > float(turned @ turned) * 1e-3 else None
 
     def in_words(self) -> list[str]:
         """Return one line for each sensor, each two that differ, and each fault."""

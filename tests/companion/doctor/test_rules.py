@@ -139,7 +139,7 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "key on one side only": ("link-signature", link(refused_signature=40), "same key"),
     "an autopilot whose clock is not set yet": ("link-signature",
         link(refused_signature=40, refused_time=40, behind_s=259_200.0, signed=True), "GNSS"),
-    "nobody listens there": ("link-refused", link(bytes_in=0, messages=0, refused_datagrams=30), "router"),
+    "no program listens there": ("link-refused", link(bytes_in=0, messages=0, refused_datagrams=30), "router"),
     "a line that stands still": ("link-late", link(late=300), "RTS/CTS"),
     "two autopilots of one id": ("autopilot-id-twice", replace(GOOD, id_conflicts=(
         IdConflictSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True), ), ),
