@@ -137,14 +137,9 @@ class RelposReader:
         """Add the samples of a message; return why there are none, empty if there are."""
         m: Any = self._parse(frame)
         stamp = self._clock.stamp(m.iTOW * 1_000_000, received_at)
-        if not m.gnssFixOK:
-            return "no_fix"
-        if not (m.diffSoln and m.relPosValid) or m.refPosMiss:
-            return "base_silent"
-        if not m.isMoving:
-            return "base_not_moving"
-        if (fix := _FIXES.get(m.carrSoln)) is None:
-            return "no_carrier_solution"
+        if why := _without_solution(m):
+            return why
+        fix = _FIXES[m.carrSoln]
         if stamp.delay_s - self._o.delay_s > AGE_MAX_S:
             return "too_old"
         d = 0.01 * np.array([m.relPosN, m.relPosE, m.relPosD])
@@ -180,3 +175,14 @@ class RelposReader:
             found.fix, before.fix, np.linalg.norm(found.d_ned - before.d_ned),
             seconds_between(before.stamp.measured_at, found.stamp.measured_at),
         )  # fmt: skip
+
+
+def _without_solution(m: Any) -> str:
+    """Return why a message holds no solution for a moving base, empty if it does."""
+    if not m.gnssFixOK:
+        return "no_fix"
+    if not (m.diffSoln and m.relPosValid) or m.refPosMiss:
+        return "base_silent"
+    if not m.isMoving:
+        return "base_not_moving"
+    return "" if m.carrSoln in _FIXES else "no_carrier_solution"

@@ -71,6 +71,13 @@ class Gimbal:
             out["pointing_refused"] = self.pointer.counts["refused"]
         return out
 
+    def _on_ack(self, received: ReceivedMessage, autopilot: tuple[int, int]) -> None:
+        sender = (received.system, received.component)
+        if sender == self._device(autopilot):
+            self._streams.on_message(received.message, received.received_at)
+        if self.pointer is not None and sender == (self._manager or autopilot):
+            self.pointer.on_ack(int(received.message.command), int(received.message.result), received.received_at)
+
     def on_message(self, autopilot: Autopilot, received: ReceivedMessage) -> GimbalAttitude | None:
         """Take any message of the autopilot's links; return the sample of a report."""
         identity, kind, m = autopilot.identity, received.message.get_type(), received.message
@@ -81,13 +88,8 @@ class Gimbal:
                 self._manager = (received.system, received.component)
             return None
         if kind == "COMMAND_ACK":
-            if not is_for(m, autopilot.links.identity):
-                return None
-            sender = (received.system, received.component)
-            if sender == self._device(identity.address):
-                self._streams.on_message(received.message, received.received_at)
-            if self.pointer is not None and sender == (self._manager or identity.address):
-                self.pointer.on_ack(int(received.message.command), int(received.message.result), received.received_at)
+            if is_for(m, autopilot.links.identity):
+                self._on_ack(received, identity.address)
             return None
         own = received.component == identity.component
         if kind not in _REPORTS or not self._reports(m, received.component, own=own) or not self._hold(received):

@@ -192,6 +192,33 @@ def _leans_by_m(knowledge: Knowledge, cone: ConeOptions) -> float:
     return lower_foot_m(knowledge, cone) + cone.feet_aside_m * LEANS_MORE_M_S2 / G_M_S2
 
 
+def _speed_m_s(estimate: RelativeState, knowledge: Knowledge, cone: ConeOptions, over_m: float) -> float | None:
+    """Return the speed along the deck until the contact, m/s; None where a climb would drag the feet over the deck.
+
+    It ends a commit for as long as a climb keeps the feet off the deck: feet that slide catch and tip the vehicle over.
+
+    Args:
+        over_m: height over the least one for a climb.
+    """
+    # So fast, a foot that brushes the deck on the way up is better than a contact: what leaning lowers it by does not count.
+    if over_m <= -_leans_by_m(knowledge, cone):
+        return None
+    v = estimate.v_pad_level
+    speed = math.hypot(v[0], v[1])
+    if over_m <= 0.0 and knowledge.at_contact is not None:
+        # One that is braked until the contact is no reason to brush it.
+        speed = min(speed, knowledge.at_contact.speed_m_s)
+    if knowledge.deck is None:
+        return speed
+    sigma_m_s = math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))  # the larger one along the deck
+    speed += SIGMAS_AHEAD * max(0.0, sigma_m_s - _USUAL_SIGMA_M_S)
+    # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
+    seen = over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt
+    # Until all feet stand: the first that touches does not stop what she does.
+    gains_m_s2 = _JOLTED_M_S2 if estimate.jolted else _STEERS_M_S2 if seen else 0.0
+    return speed + gains_m_s2 * _descends_s(estimate.height_m - cone.feet_below_m, estimate, cone)
+
+
 def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: LandingLimits, cone: ConeOptions) -> Reason | None:
     """Return the limit that ends a commit, or None."""
     lift = lift_m(estimate, knowledge, cone)
@@ -200,25 +227,11 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
     beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
-    v = estimate.v_pad_level
-    # Speed along the deck ends it for as long as a climb keeps the feet off it: feet that slide catch and tip the vehicle over.
     over_m = estimate.height_m - lift
     lifts = over_m > 0.0
-    # So fast, a foot that brushes the deck on the way up is better than a contact: what leaning lowers it by does not count.
-    speed = math.hypot(v[0], v[1]) if over_m > -_leans_by_m(knowledge, cone) else None
+    speed = _speed_m_s(estimate, knowledge, cone, over_m)
     # Feet that the deck holds make a tilt without a motion: a gust, or a speed to come, that is not there.
     ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, _COMMIT_SPEED)
-    if speed is not None and not lifts and knowledge.at_contact is not None:
-        # One that is braked until the contact is no reason to brush it.
-        speed = min(speed, knowledge.at_contact.speed_m_s)
-    if speed is not None and knowledge.deck is not None:
-        sigma_m_s = math.sqrt(max(estimate.cov.item(3, 3), estimate.cov.item(4, 4)))  # the larger one along the deck
-        speed += SIGMAS_AHEAD * max(0.0, sigma_m_s - _USUAL_SIGMA_M_S)
-        # Higher up the next frames say what she does. A body whose acceleration is not felt seems to be a ship that brakes.
-        seen = over_m < _DECIDES_M and estimate.steers and not knowledge.unfelt
-        # Until all feet stand: the first that touches does not stop what she does.
-        gains_m_s2 = _JOLTED_M_S2 if estimate.jolted else _STEERS_M_S2 if seen else 0.0
-        speed += gains_m_s2 * _descends_s(estimate.height_m - cone.feet_below_m, estimate, cone)
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),

@@ -66,11 +66,11 @@ class _Reader:
             **dict.fromkeys(_VELOCITIES, self._velocity),
         }
 
-    def samples(self, tell: Tell) -> list[Sample]:
+    def _made(self) -> tuple[list[int], list[tuple[int, str, Sample]], list[str]]:
+        """Return all times, us, each sample with the number of its message's time and its sensor, and unknown columns."""
         stamps_us: list[int] = []
         made: list[tuple[int, str, Sample]] = []
         met: dict[str, list[str]] = {}
-        self._tell = tell
         while (message := self._log.recv_match(type=list(self._makers))) is not None:
             kind = message.get_type()
             if kind not in met:
@@ -87,8 +87,13 @@ class _Reader:
                     continue
                 if sample is not None:
                     made.append((len(stamps_us) - 1, str(getattr(one, "Instance", getattr(one, "I", 0))), sample))
+        return stamps_us, made, [name for names in met.values() for name in names]
+
+    def samples(self, tell: Tell) -> list[Sample]:
+        self._tell = tell
+        stamps_us, made, strange = self._made()
         times = timeline(stamps_us, tell)
-        if strange := [name for names in met.values() for name in names]:
+        if strange:
             tell(f"columns that are not known here are not read: {', '.join(strange)}")
         counts = Counter(sensor for _, sensor, sample in made if type(sample) is Range)
         lower = None if not counts else max(counts, key=lambda sensor: counts[sensor])
