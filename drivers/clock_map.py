@@ -36,8 +36,8 @@ _BACK_FOR_S = 2.0  # time for which they do
 _BLOCK_S = 0.5  # length of a block, of which the least difference counts
 _BLOCKS = 8
 """Steps that give a rate and have to agree. A link whose queue fills looks like a slow clock for a while, and its stamps are
-right; no queue fills evenly for so long."""
-_LONG = 4  # blocks in each of these steps; a claimed rate is refused by steps of one block, too
+right; no queue fills evenly for so long (docs/decisions/time.md)."""
+_LONG = 4  # blocks in each of these steps; a claimed rate is refused by steps of one block, too (docs/decisions/time.md)
 _BLOCK_NS = round(_BLOCK_S * NS_PER_S)
 _PROOF = 5
 """The blocks whose least differences have to be alike before a claimed rate counts."""

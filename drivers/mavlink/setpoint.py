@@ -28,8 +28,8 @@ VELOCITY_ACCELERATION_AND_YAW_RATE = 0x0407
 _LEVEL_THRUST = 0.12
 """Thrust with which ArduCopter comes to stand on a deck, of the largest. It reads this as a descent by three quarters of
 WPNAV_SPEED_DN, 1.1 m/s by default, and as a thrust where GUID_OPTIONS has 8."""
-_OPPOSITE = 3.0  # lean to the other side for each radian that it still leans: it is level the sooner
-_OPPOSITE_MOST_RAD = math.radians(8.0)  # lean to the other side at most
+_OPPOSITE = 3.0  # lean to the other side for each radian that it still leans: it is level the sooner (docs/decisions/contact.md)
+_OPPOSITE_MOST_RAD = math.radians(8.0)  # lean to the other side at most (docs/decisions/contact.md)
 
 
 def velocity_setpoint(time_boot_ms: int, target: tuple[int, int], command: Velocity | Lean, yaw_rad: float) -> Message:

@@ -63,13 +63,13 @@ _STEP_S = 0.01
 """Delays are distinguished in steps of this, s."""
 _GAP_MAX_S = 0.5
 """A silence longer than this restarts the observer at the measurement; it keeps its estimate of the wind."""
-_CYCLE_S = 2.0  # time over which the length of a cycle is measured
+_CYCLE_S = 2.0  # time over which the length of a cycle is measured (docs/guidance.md)
 _CYCLE_MAX_S = 0.18  # mean length of a cycle beyond which the vehicle hovers by itself (docs/guidance.md)
 _LATE_S = 0.04  # time by which a cycle may be longer without a loss of the position's weight
 _SOFTER_PER_LATE_S = 60.0  # that loss for each second more
 _ROUGH_M_S2 = 0.8
 """Noise of a rough accelerometer, which has an observer of its own. Vibration of 0.5 m/s^2 stays below; PX4's simulated
-quadcopter (SIH) has 0.5 to 1.7, by axis, as its source gives it."""
+quadcopter (SIH) has 0.5 to 1.7, by axis, as its source gives it (docs/guidance.md)."""
 _ROUGH_S = 1.0  # time over which that noise is measured
 _JOLT_M_S2 = 4.0
 """Largest change of a cycle that counts: a contact with the deck is no noise."""

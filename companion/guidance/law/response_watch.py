@@ -37,7 +37,7 @@ from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 CONTRADICTION_S = 0.04
 """A difference of the delay up to this is ignored, s: the margins tolerate it."""
 DELAY_MAX_S = 0.4
-"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it."""
+"""Longest delay that is flown with, s: the margin of 60 ms is kept up to it (docs/guidance.md)."""
 _SURELY = 2.0
 """Standard deviations that a delay has to be beyond it."""
 _WINDOW_S = 12.0  # length of the newest course that is fitted
@@ -57,7 +57,7 @@ _GAIN_OFF = 0.35
 """A vehicle that flies so much less or more than commanded is at a limit of its own, or uses other units."""
 _COURSE_OFF_S = 0.15
 """A tilt that follows by this much slower or quicker than what is flown by, beside the delay, tells no delay, s."""
-_SHAPE_SURELY = 2.5  # standard deviations that a shape has to be beyond the one that is flown by
+_SHAPE_SURELY = 2.5  # standard deviations that a shape has to be beyond the one that is flown by (docs/decisions/response.md)
 _BETTER = 0.5
 """A shape that is known this much better is looked at again: its gains may be stiffer."""
 

@@ -43,9 +43,10 @@ LEAST_M_S2 = 3.0
 LEAST_M_S = 0.1
 """Velocity that the push must have taken away, m/s."""
 TOUCH_M_S = 0.035
-"""Velocity that the push of one foot takes away that touches before the others, m/s: the vehicle pivots about it."""
+"""Velocity that the push of one foot takes away that touches before the others, m/s: the vehicle pivots about it
+(docs/decisions/wind.md)."""
 TOUCH_M_S2 = 4.5
-"""Peak of such a push, m/s^2."""
+"""Peak of such a push, m/s^2 (docs/decisions/wind.md)."""
 TURNED_RAD_S = 0.3
 """Change of the turn rate beyond its mean, rad/s: it turns about a foot that the deck holds. Gusts make a third of it."""
 WITHIN_S = 0.08

@@ -37,7 +37,7 @@ _BARO_S = 0.5
 """Time constant of the barometer's mean, s: its noise is half a metre."""
 _SETTLES_S = 1.5
 """Time of orders since a gap before which nothing is counted: the barometer's mean begins with one reading, which errs by a
-metre, and the estimate with half of that."""
+metre, and the estimate with half of that (docs/decisions/integrity.md)."""
 _LEAST_S = 3.0  # time of all orders before which nothing is concluded
 _FASTEST_M_S = 2.0  # largest difference from the ordered rate that counts
 _JUMP_M = 4.0  # step of a height that no vehicle flies within a cycle: it is the sensor's

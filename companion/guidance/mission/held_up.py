@@ -6,13 +6,14 @@ from companion.guidance.controller import Impact
 from estimator.contracts.time import MonoNs, seconds_between
 
 ANSWERED_S = 0.7
-"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)."""
+"""Time within which the slowest vehicle has answered a command, delay and twice the lag, s (configs/responses)
+(docs/decisions/contact.md)."""
 ANSWERS_S = 0.3
 """Time by which commands lead the deck that they follow: delay and lag of a vehicle, s."""
 _HELD_LEAST_M_S = 0.3
-"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15."""
+"""Least upward excess over the commanded speed, m/s. Ground effect close to a deck makes 0.15 (docs/decisions/contact.md)."""
 HELD_S = 0.25
-"""Duration of the excess, s."""
+"""Duration of the excess, s (docs/decisions/contact.md)."""
 
 
 class HeldUp(Struct, frozen=True):

@@ -44,7 +44,7 @@ _GUST_S = 2.0
 _USUAL_SIGMA_M_S = 0.15
 """1-sigma of the speed along the deck that the filter has without an IMU, too, m/s; a ship that brakes makes it greater."""
 _STEERS_M_S2 = 2.5  # docs/decisions/ship-manoeuvres.md: acceleration until the contact of a ship that is seen to brake or turn
-_JOLTED_M_S2 = 10.0  # the same of one whose own sensors show its begin
+_JOLTED_M_S2 = 10.0  # the same of one whose own sensors show its begin (docs/decisions/ship-manoeuvres.md)
 _DECIDES_M = 0.05
 """Height over the least one for a climb from which on that ends the commit, m: two frames of 30 a second and more."""
 LEANS_MORE_M_S2 = 2.0

@@ -44,8 +44,8 @@ _CONFIRMED_S = 3.0
 _AT_LAST_S = 60.0  # time from its order after which that is better in any case
 _STAYS_HELD_S = 1.0
 """Time for which it stays held up after the contact that an updraft does not last, s."""
-_OFF_DECK_M = 0.1  # height over the gate's that is too high for a vehicle that stands on the deck
-_OFF_DECK_SIGMAS = 2.0  # standard deviations by which it has to be
+_OFF_DECK_M = 0.1  # height over the gate's that is too high for a vehicle that stands on the deck (docs/decisions/contact.md)
+_OFF_DECK_SIGMAS = 2.0  # standard deviations by which it has to be (docs/decisions/contact.md)
 _FRESH_S = 0.2
 """Age of a sighting up to which it shows that the drone has left the deck, s."""
 

@@ -12,7 +12,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import check_ranges, choice, text, tuning
 
 _VECTOR = "three numbers with commas between"
-_REACH_M = 400.0
+_REACH_M = 400.0  # longest vector between the antennas, and of an arm on board
 
 
 class RtkOptions(PartTable, frozen=True, forbid_unknown_fields=True):

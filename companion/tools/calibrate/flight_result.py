@@ -15,9 +15,9 @@ from companion.tools.calibrate.touchdown_cost import TouchdownCost, of_delay, of
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 
 MOUNT_SIGMA_MAX_DEG = 0.3
-"""Standard deviation of the mount above which a result is not written."""
+"""Standard deviation of the mount above which a result is not written (docs/cameras.md)."""
 DELAY_SIGMA_MAX_S = 0.003
-"""Standard deviation of the delay above which it is not."""
+"""Standard deviation of the delay above which it is not (docs/cameras.md)."""
 READOUT_SIGMA_MAX_S = 0.003
 """Standard deviation of the readout time above which it is not."""
 DECK_TURNS_RAD = math.radians(0.2)

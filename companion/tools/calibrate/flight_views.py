@@ -32,7 +32,7 @@ _STEP_MAX_S = 0.1  # longest step over which a velocity is integrated
 _ON_DECK = frozenset({State.PRESS.value, State.DOWN.value, State.LANDED.value, State.LANDED_BY_OTHERS.value})
 """Phases in which the deck holds the vehicle."""
 GYRO_RATE_LEAST_HZ = 40.0
-"""Rate of the gyro that a calibration needs."""
+"""Rate of the gyro that a calibration needs (docs/cameras.md)."""
 TILT_SIGMA_MAX_RAD = math.radians(2.0)
 """A pose whose tilt is known worse than this says nothing of the mount."""
 _NEIGHBOURS_S = 0.25
