@@ -6,9 +6,10 @@ import signal
 import sys
 import tempfile
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
+from shutil import copy
 from typing import Any
 
 import hypothesis
@@ -57,6 +58,14 @@ def out_of_the_collectors_sight() -> None:
 
 
 @pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Return the flights that are kept (`tests.support.kept.KeptFlights`); a mutant's are its own."""
+    from tests.support.kept import KeptFlights, folder
+
+    return KeptFlights(tmp_path_factory.mktemp("kept") if "DECKLANDER_MUTANT" in os.environ else folder())
+
+
+@pytest.fixture(scope="session")
 def recorded_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """Return the recording of 1.5 s of a flight, and the calls that another observer received."""
     from tests.fly import record_to
@@ -66,9 +75,11 @@ def recorded_flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any
 
 
 @pytest.fixture(scope="session")
-def flight_file(recorded_flight: tuple[Path, Any]) -> Path:
-    """Return the recording of a flight alone."""
-    return recorded_flight[0]
+def flight_file(kept: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the recording of a flight alone, in a folder of its own."""
+    from tests.fly import record_to
+
+    return Path(copy(kept("1.5 s of the demo", partial(record_to, seconds=1.5)), tmp_path_factory.mktemp("kept") / "flight.mcap"))
 
 
 @cache

@@ -4,13 +4,14 @@
 - `land`: a whole flight of one scenario, as a campaign flies it, and how it ended
 - `simulate`: a whole flight by the command line, with its exit code and what `--json` prints
 - `near`: a scenario of a few seconds; `NEAR` is its text
+- `recorded`: what records a flight of the command line, for the fixture `kept`
 - `fly_recorded`: the first seconds of a flight with a recorder; `record_to` writes them into a file
 - `ObservedCalls`: an observer that keeps every call
 """
 
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,11 @@ def simulate(
     """Fly by the command line; return the exit code and what it prints as JSON."""
     code = main(["simulate", str(scenario), "--perception", level, "--json", *arguments])
     return code, json.loads(capsys.readouterr().out)
+
+
+def recorded(*words: str) -> Callable[[Path], int]:
+    """Return what flies by the command line with these words and records into a path; for `kept`."""
+    return lambda path: main(["simulate", *words, "--record", str(path), "--json"])
 
 
 def sim_settings() -> Settings:

@@ -12,7 +12,8 @@ import pytest
 
 from examples import make_data, with_and_without_imu
 from examples.known_controllers import Lateral, Lqr, Mpc, integrators
-from tests.fly import record_to, simulate
+from tests.fly import record_to, recorded
+from tests.support.kept import KeptFlights
 from tests.support.processes import ran
 
 ROOT = Path(__file__).parents[1]
@@ -103,10 +104,10 @@ def test_the_data_is_small_and_the_script_s_columns_are_the_file_s() -> None:
 
 
 def test_the_imu_helps_where_the_pad_is_seen_rarely(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    kept: KeptFlights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flight = tmp_path / "flight.mcap"
-    assert simulate(capsys, "weather_3", "--record", str(flight), "--record-frames", "none", level="model")[0] == 0
+    flight = kept("weather_3 by the model", recorded("weather_3", "--record-frames", "none", "--perception", "model"))
+    capsys.readouterr()
     rare = [looks for looks in with_and_without_imu.LOOKS if looks.name in ("1 a second", "hidden for 2 s")]
     monkeypatch.setattr(with_and_without_imu, "LOOKS", rare)
     with_and_without_imu.main(flight)

@@ -31,7 +31,8 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Imu
 from estimator.contracts.time import MonoNs, Stamp
 from sitl.vehicle.airframe import load
-from tests.fly import sim_settings
+from tests.fly import recorded, sim_settings
+from tests.support.kept import KeptFlights
 
 GIVEN = shipped_response("ardrone2")
 SECONDS = 12.0
@@ -118,18 +119,15 @@ def test_lag_and_delay_of_the_climb_are_distinguished() -> None:
 
 
 @pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def recordings(kept: KeptFlights) -> dict[str, Path]:
     """Flights of the simulated AR.Drone: as shipped, with another controller, and with nothing that moves."""
-    folder = tmp_path_factory.mktemp("flown")
     flights: dict[str, list[str]] = {
         "rough": ["sea_state_4", "--seed", "902"],
         "longer": ["sea_state_4", "--seed", "903"],
         "late": ["faults/commands_late_0_1_s", "--seed", "902"],
         "pid": ["sea_state_4", "--seed", "902", "--set", "guidance.controller=pid", "--set", "duration_limit_s=8"],
     }
-    for name, args in flights.items():
-        main(["simulate", *args, "--perception", "truth", "--record", str(folder / f"{name}.mcap"), "--json"])
-    return {name: folder / f"{name}.mcap" for name in flights}
+    return {name: kept(f"identify {name}", recorded(*args, "--perception", "truth")) for name, args in flights.items()}
 
 
 def truth() -> tuple[float, float, float]:

@@ -50,8 +50,9 @@ from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection, PadCheck, PadThing
 from estimator.vision.pad.geometry import outlines_of
 from estimator.vision.pad.shapes import PaintedDisc, PaintedRing
-from tests.fly import record_to
+from tests.fly import record_to, recorded
 from tests.make import ns
+from tests.support.kept import KeptFlights
 from tests.support.shipped import shipped_pad
 
 CAMERA = Camera(
@@ -432,15 +433,11 @@ def test_what_never_changes_is_found_within_a_second_of_any_seek(tmp_path: Path)
 
 
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def flights(kept: KeptFlights) -> list[Path]:
     """Two whole landings, the second with another limit."""
-    folder = tmp_path_factory.mktemp("flights")
-    paths = [folder / f"seed{seed}.mcap" for seed in (1, 2)]
-    for seed, path in enumerate(paths, 1):
-        words = ["simulate", "demo", "--perception", "truth", "--seed", str(seed), "--record", str(path), "--json"]
-        changed = [] if seed == 1 else ["--set", "guidance.cone.gate_height_m=0.4"]
-        assert cli.main([*words, *changed]) == 0
-    return paths
+    words = ["demo", "--perception", "truth", "--seed"]
+    other = [*words, "2", "--set", "guidance.cone.gate_height_m=0.4"]
+    return [kept("demo 1", recorded(*words, "1")), kept("demo 2 from another gate", recorded(*other))]
 
 
 def test_the_log_of_a_recording_is_that_of_the_flight(flights: list[Path]) -> None:
