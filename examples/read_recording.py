@@ -15,7 +15,7 @@ start = None
 for event in recording.events():
     start = instant(event) if start is None else start
     if isinstance(event, RecordedFrame):
-        verdicts[event.record.verdict] += 1
+        verdicts[event.record.verdict.value] += 1
     elif isinstance(event, Decision) and event.belief is not None:
         belief = event.belief
         print(f"{(event.at - start) * 1e-9:6.2f} s {event.phase}: {belief.height_m:.2f} m up, {belief.lateral_m:.2f} m off")
