@@ -304,35 +304,29 @@ def alerts(guard: IntegrityGuard, now: MonoNs) -> tuple[IntegrityAlert, ...]:
 
 def _accused(guard: IntegrityGuard) -> list[tuple[IntegrityAlert, int]]:
     """Return what is accused, with the instant of the newest evidence, ns."""
-    found = []
-    seen, frames, stamps = guard.view, guard.frames, guard.clock
-    if frames.frozen:
-        found.append((IntegrityAlert.CAMERA_FROZEN, frames.at))
-    if seen.frozen:
-        found.append((IntegrityAlert.VIEW_FROZEN, seen.at))
-    if seen.reversed:
-        found.append((IntegrityAlert.VIEW_REVERSED, seen.at))
-    if seen.late_s != 0.0:
-        found.append((IntegrityAlert.IMU_LATE, seen.at))
-    for kind, alert in ((Imu, IntegrityAlert.IMU_FROZEN), (Attitude, IntegrityAlert.ATTITUDE_FROZEN)):
-        watched = guard.sensors.get(kind)
-        if watched is not None and watched.frozen:
-            found.append((alert, stamps.at(kind.__name__)))
-    if guard.inertial.attitude_fault is not None:
-        found.append((IntegrityAlert.ATTITUDE, stamps.at(Attitude.__name__)))
-    if off := [stamps.at(kind) for kind in ("Sighting", "Imu", "Attitude") if stamps.off(kind)]:
-        found.append((IntegrityAlert.STAMPS, max(off)))
-    if guard.arbiter.apart:
-        found.append((IntegrityAlert.APART, guard.arbiter.t))
-    if guard.tracks.disputed_at is not None:
-        found.append((IntegrityAlert.ELSEWHERE, guard.tracks.disputed_at))
-    if guard.baselines.undecided:
-        found.append((IntegrityAlert.BASELINE, guard.baselines.t))
-    if guard.heights.contradicted:
-        found.append((IntegrityAlert.RANGE, guard.heights.ranged_at))
-    if guard.heights.baro_contradicted:
-        found.append((IntegrityAlert.HEIGHT, guard.heights.weighed_at))
-    return found
+    seen, stamps, heights, disputed_at = guard.view, guard.clock, guard.heights, guard.tracks.disputed_at
+    off = [stamps.at(kind) for kind in ("Sighting", "Imu", "Attitude") if stamps.off(kind)]
+    each = (
+        (guard.frames.frozen, IntegrityAlert.CAMERA_FROZEN, guard.frames.at),
+        (seen.frozen, IntegrityAlert.VIEW_FROZEN, seen.at),
+        (seen.reversed, IntegrityAlert.VIEW_REVERSED, seen.at),
+        (seen.late_s != 0.0, IntegrityAlert.IMU_LATE, seen.at),
+        (_is_frozen(guard, Imu), IntegrityAlert.IMU_FROZEN, stamps.at(Imu.__name__)),
+        (_is_frozen(guard, Attitude), IntegrityAlert.ATTITUDE_FROZEN, stamps.at(Attitude.__name__)),
+        (guard.inertial.attitude_fault is not None, IntegrityAlert.ATTITUDE, stamps.at(Attitude.__name__)),
+        (bool(off), IntegrityAlert.STAMPS, max(off, default=0)),
+        (guard.arbiter.apart, IntegrityAlert.APART, guard.arbiter.t),
+        (disputed_at is not None, IntegrityAlert.ELSEWHERE, disputed_at or 0),
+        (guard.baselines.undecided, IntegrityAlert.BASELINE, guard.baselines.t),
+        (heights.contradicted, IntegrityAlert.RANGE, heights.ranged_at),
+        (heights.baro_contradicted, IntegrityAlert.HEIGHT, heights.weighed_at),
+    )
+    return [(alert, at) for is_so, alert, at in each if is_so]
+
+
+def _is_frozen(guard: IntegrityGuard, kind: type[Imu | Attitude]) -> bool:
+    watched = guard.sensors.get(kind)
+    return watched is not None and watched.frozen
 
 
 def _pictured(guard: IntegrityGuard, sighting: Sighting, attitude: Attitude) -> inertial.Inertial:

@@ -110,7 +110,7 @@ def search(
         paint: learned paints. They only order the search: where the disc stood out by its colour, colour comes first.
         memory: what the search left in the frame before.
         sure: confidence at which no further hypotheses are tried; a value over 1 gives all candidates.
-        budget: work in the frame, whatever did it, at which the search goes on with the next one, as `tracker_config.FRAME_WORK`.
+        budget: work in the frame, whatever did it, at which the search goes on with the next one, as `track.config.FRAME_WORK`.
             The first kind that is looked for is, whatever is left.
 
     Raises:
