@@ -92,6 +92,6 @@ def test_the_rest_imports_and_passes_its_fast_tests(tree: Path) -> None:
 
 
 def test_a_drone_lands_without_it(tree: Path) -> None:
-    flight = ("calm", "--perception", "model", "--autopilot", "arducopter", "--binary", "stand-in", "--json")
+    flight = ("calm", "--perception", "model", "--autopilot", "arducopter", "--json")
     flown = ran_in(tree, "-m", "companion.cli.main", "simulate", *flight)
     assert json.loads(flown)["landed_on_pad"] is True
