@@ -12,7 +12,7 @@ A table of attitudes is CSV with the header `time_s,roll_deg,pitch_deg` and, if 
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import ROUND_HALF_EVEN, Decimal, InvalidOperation
@@ -51,13 +51,7 @@ def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell 
     Raises:
         BadInput: the folder cannot be read or holds no image, nothing gives their times, or not one of them can be used.
     """
-    with refused(str(folder), OSError):
-        inside = seen_in(folder)
-        paths = [path for path in inside if path.suffix.lower() in PICTURES]
-        tables = [path for path in inside if path.suffix.lower() in (".csv", ".txt")]
-        below = [each for each in folder.iterdir() if each.is_dir() and any(p.suffix.lower() in PICTURES for p in seen_in(each))]
-    if not paths:
-        raise BadInput(f"{folder}: holds no image" + (f", {min(below)} does: give that folder" if below else ""))
+    paths, tables = _images_and_tables(folder)
     times = next((found for table in tables if (found := _of_table(table, paths, tell))), None) or _of_names(paths)
     if times is None:
         raise BadInput(
@@ -68,6 +62,24 @@ def folder_frames(folder: Path, size: tuple[int, int] | None = None, tell: Tell 
         tell(f"{len(unnamed)} of {len(paths)} images have no time and are left out, {unnamed[0].name} first")
     ordered = sorted((path for path in paths if path.name in times), key=lambda path: (times[path.name], path.name))
     yield from _decode(folder, ordered, [times[path.name] for path in ordered], size, tell)
+
+
+def _images_and_tables(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the images and the tables of a folder.
+
+    Raises:
+        BadInput: it cannot be read or holds no image.
+    """
+
+    def images(within: Iterable[Path]) -> list[Path]:
+        return [path for path in within if path.suffix.lower() in PICTURES]
+
+    with refused(str(folder), OSError):
+        inside = seen_in(folder)
+        below = [each for each in folder.iterdir() if each.is_dir() and images(seen_in(each))]
+    if not (paths := images(inside)):
+        raise BadInput(f"{folder}: holds no image" + (f", {min(below)} does: give that folder" if below else ""))
+    return paths, [path for path in inside if path.suffix.lower() in (".csv", ".txt")]
 
 
 def _decode(

@@ -195,7 +195,15 @@ def take_status(p: Progress, status: VehicleStatus, o: GuidanceOptions, *, resum
         return take(p, Event.BEGIN, Reason(ReasonCause.GIVEN_BACK), at, o)
     if status.flying is None or (p.state in ENDED and not p.stood):
         return p, ()
-    next_one = p.state in ENDED and status.taken is None
+    return _flies(p, at, o, next_one=p.state in ENDED and status.taken is None)
+
+
+def _flies(p: Progress, at: MonoNs, o: GuidanceOptions, *, next_one: bool) -> tuple[Progress, Transitions]:
+    """Take that the vehicle flies.
+
+    Args:
+        next_one: whether it is a flight after a landing, which guidance may have for itself.
+    """
     p, changes = take(p, Event.TAKEN_OFF, Reason(ReasonCause.VEHICLE_FLIES), at, o)
     if next_one and p.automatic and changes:
         p, more = take(p, Event.BEGIN, Reason(ReasonCause.AUTOMATIC), at, o)
