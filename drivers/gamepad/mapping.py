@@ -104,6 +104,15 @@ def start(mapping: GamepadMapping, ranges: Mapping[int, AxisRange]) -> GamepadMe
     return GamepadMemory(found, frozenset(stick for stick in STICKS if abs(found[stick]) <= mapping.dead_zone))
 
 
+def _deflected(
+    mapping: GamepadMapping, memory: GamepadMemory, stick: str, ranges: Mapping[int, AxisRange], value: int
+) -> GamepadMemory:
+    """Return the memory after an axis has moved; a stick is live once it was in the middle."""
+    deflection = _deflection(mapping, stick, ranges, value)
+    live = memory.live | {stick} if abs(deflection) <= mapping.dead_zone else memory.live
+    return replace(memory, deflections={**memory.deflections, stick: deflection}, live=live)
+
+
 def gamepad_step(
     mapping: GamepadMapping, memory: GamepadMemory, events: Iterable[InputEvent], ranges: Mapping[int, AxisRange], now: MonoNs
 ) -> tuple[GamepadMemory, tuple[str, ...]]:
@@ -123,10 +132,7 @@ def gamepad_step(
         elif memory.dropped:
             continue
         elif event.kind == EV_ABS and event.code in sticks:
-            stick = sticks[event.code]
-            deflection = _deflection(mapping, stick, ranges, event.value)
-            live = memory.live | {stick} if abs(deflection) <= mapping.dead_zone else memory.live
-            memory = replace(memory, deflections={**memory.deflections, stick: deflection}, live=live)
+            memory = _deflected(mapping, memory, sticks[event.code], ranges, event.value)
         elif event.kind == EV_KEY and event.value == 1 and event.code in buttons:
             most_hz = math.inf if buttons[event.code] == "emergency" else mapping.orders_max_hz
             memory, given = _press(memory, event.code, now, most_hz)

@@ -499,6 +499,12 @@ class SetpointStreamer:
         self._modes.ask(mode, now)
         return [set_mode(self._id.stack, self._id.address, mode)]
 
+    def _is_streamed(self, now: MonoNs) -> bool:
+        """Return whether setpoints have come for long enough that the autopilot takes the mode that flies them."""
+        if self._authority is not Authority.SETPOINTS or self._id.stack is not Stack.PX4:
+            return True
+        return self._streamed is not None and seconds_between(self._streamed[0], now) >= self._o.prestream_s
+
     def _steer(self, now: MonoNs) -> list[Message]:
         silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
         fresh = silent_s <= self._o.command_timeout_s
@@ -508,13 +514,9 @@ class SetpointStreamer:
         there = self._condition.mode == self._mode and not self._modes.pending
         if self.hand is not Hand.TAKING or there:
             return out
-        if self._authority is Authority.SETPOINTS:
-            if not out or self._streamed is None:
-                return out
-            ready = self._id.stack is not Stack.PX4 or seconds_between(self._streamed[0], now) >= self._o.prestream_s
-        else:
-            ready = True
-        if ready and self._due(now):
+        if self._authority is Authority.SETPOINTS and (not out or self._streamed is None):
+            return out
+        if self._is_streamed(now) and self._due(now):
             return out + self._ask(self._mode, now)
         if self._tries.spent(now):
             self._on(HandEvent.REFUSED)

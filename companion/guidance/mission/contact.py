@@ -193,10 +193,11 @@ def votes(s: GuidanceCycle, felt: Impact | None, o: GuidanceOptions, ordered_s: 
         moved_s = math.inf if felt is None else seconds_between(felt.at, s.at)
         if abs(estimate.v_pad_level.item(2)) < _STILL_M_S and ordered_s >= _ORDERED_S and moved_s >= _AFTER_S:
             count += 0.5
-    if s.range_m is not None:
-        over_m = s.range_m - cone.feet_below_m
-        count += 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
-    return count
+    return count + (0.0 if s.range_m is None else _of_range(s.range_m - cone.feet_below_m))
+
+
+def _of_range(over_m: float) -> float:
+    return 0.5 if over_m <= _RANGE_NEAR_M else -0.5 if over_m >= _RANGE_FAR_M else 0.0
 
 
 def descends(s: GuidanceCycle, o: GuidanceOptions) -> bool:
