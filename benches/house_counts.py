@@ -22,10 +22,7 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
         "companion/parts/ardrone/", "companion/parts/mavlink/bridge.py", "drivers/ardrone/", "estimator/core/video/",
         "estimator/uvlc.py", "sitl/ardrone/", "sitl/core/video/", "sitl/emulators/ardrone/",
     ),
-    "ship's wires": (
-        "companion/parts/ship/", "companion/tools/replay/ship_sensors.py", "drivers/nmea/", "drivers/relpos.py",
-        "sitl/flight/ship_sensors.py", "sitl/sensors/rtk.py",
-    ),
+    "ship's wires": ("companion/parts/ship/", "drivers/nmea/", "drivers/relpos.py"),
     "MQTT and watch": ("companion/cli/watch.py", "companion/parts/mqtt/"),
     "ROS 2": ("companion/cli/ros2.py", "companion/tools/ros2/", "drivers/camera/ros2.py", "drivers/ros2.py"),
     "Foxglove": ("companion/parts/live/",),

@@ -20,6 +20,7 @@ from msgspec import Struct
 from drivers.clock_map import ClockMap, ClockMapOptions
 from drivers.endpoint import Address
 from drivers.extras import require
+from drivers.ship_reports import FLOOR_M
 from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Baseline, BaselineFix, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
@@ -36,8 +37,6 @@ _HELD_S = 10.0
 AGE_MAX_S = 0.7
 """Time by which a solution may be later than the earliest ones and is still used."""
 _FIXES: dict[int, BaselineFix] = {1: "float", 2: "fixed"}
-FLOOR_M: dict[BaselineFix, tuple[float, float, float]] = {"fixed": (0.01, 0.01, 0.02), "float": (0.3, 0.3, 0.5)}
-"""Standard deviation of what no receiver states, north, east and down, by the kind of the solution, m (assumed)."""
 _EXTRAPOLATED_M = 0.03
 """Standard deviation beside it where observations of the base are missing, and older ones are carried on, m."""
 _HEADING_FLOOR_RAD = math.radians(0.2)  # standard deviation of a heading that no receiver states (assumed)

@@ -14,7 +14,7 @@ import pytest
 from benches.house_counts import OWNERS
 
 ROOT = Path(__file__).parents[1]
-REMOVABLE = ("MQTT and watch", "ROS 2", "Foxglove", "gamepad")
+REMOVABLE = ("MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires")
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 BUILT = ("estimator/core", "sitl/core")
 LEFT_OUT = (

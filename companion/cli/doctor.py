@@ -35,7 +35,7 @@ from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from drivers.mavlink.signing import Signing, SigningTimes
-from drivers.nmea.sentences import REFUSED_FOR
+from drivers.ship_reports import REFUSED_FOR
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
 

@@ -28,7 +28,7 @@ from companion.settings.capabilities import offered
 from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
 from companion.settings.vessel import VesselOptions
-from drivers.imports import ardrone_capture, dataflash, network, pictures, px4_ulog, sentences, tlog
+from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.log_stamps import Tell
 from estimator.contracts.address import guarded
@@ -203,6 +203,8 @@ class _Source(Struct, frozen=True):
         reader = _READERS.get(kind)
         if reader is not None:
             return iter(reader(path, self.note))
+        if kind is FileKind.NETWORK:
+            return iter(_ship_log(path, kind).read(path, self.note))
         if kind is FileKind.ROS_BAG:
             bag: Iterator[Sample | Frame] = offered("importers", kind.name, f"{path}: {kind.value}")(path, self.note, self.topic)
             return bag
@@ -223,7 +225,7 @@ class _Source(Struct, frozen=True):
 
 _READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
     FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
-    FileKind.NAVDATA: ardrone_capture.samples, FileKind.NETWORK: network.read,
+    FileKind.NAVDATA: ardrone_capture.samples,
 }  # fmt: skip
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
@@ -256,6 +258,11 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
+def _ship_log(path: Path, kind: FileKind) -> Any:
+    """Return the module that reads logs of a ship of this kind."""
+    return offered("importers", kind.name, f"{path}: {kind.value}")
+
+
 def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, int]) -> list[Iterator[Sample | Frame]]:
     """Return the data of each source in order; the logs of a ship's sentences are one.
 
@@ -268,13 +275,14 @@ def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, in
         path, kind = of_ship[0]
         raise BadInput(f"{path}: {kind.value}: text, and no video or flight; give settings whose table [vessel] knows the ship")
     logs = [s for s in sources if kinds[s.path] is FileKind.SENTENCES]
-    began_s = {path: network.began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
+    began_s = {path: _ship_log(path, kind).began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
     zero_s = min(began_s.values(), default=0.0)
     if max(began_s.values(), default=0.0) - zero_s < _DAY_S:
         later = {path: round(1e9 * (at_s - zero_s)) for path, at_s in began_s.items()}
         sources = [structs.replace(s, offset_ns=s.offset_ns + later.get(s.path, 0)) for s in sources]
     streams = [s.data(size) for s in sources if s not in logs]
     if logs:
+        sentences = _ship_log(logs[0].path, FileKind.SENTENCES)
         of, vessel = [sentences.SentenceLog(s.path, s.offset_ns * 1e-9) for s in logs], settings.vessel
         streams.append(sentences.read(of, logs[0].note, vessel.mmsi, vessel.nmea_simulated))
     return streams

@@ -69,10 +69,12 @@ class Capability(NamedTuple):
     vehicles: Mapping[str, VehicleKind] = _NONE
     """Kinds of vehicles by the word of `vehicle.kind`."""
     commands: Mapping[str, Command] = _NONE
+    examine: str = ""
+    """The coroutine by which `doctor` examines what the settings want of it, as module:object."""
     exporters: Mapping[str, str] = _NONE
     """Formats that `record export` writes, each by a function of a recording and a path, as module:object."""
     importers: Mapping[str, str] = _NONE
-    """Readers of others' files, for `record import`, by the kind of file (`FileKind`), as module:object."""
+    """Readers of others' files, for `record import`, by the kind of file (`FileKind`), as module:object or module."""
 
     def wanted_by(self, settings: Any) -> str:
         """Return the key of the settings that wants it; empty if none does."""
@@ -109,6 +111,12 @@ CAPABILITIES = (
         join="companion.parts.ship.part:join",
         references="companion.parts.ship.part:references",
         tables={"rtk": "companion.parts.ship.options:RtkOptions"},
+        examine="companion.parts.ship.examine:examine",
+        importers={
+            "SENTENCES": "drivers.nmea.sentence_log",
+            "NETWORK": "drivers.nmea.network_log",
+            "MOTION": "drivers.nmea.motion",
+        },
     ),
     Capability(
         "MQTT",
@@ -163,9 +171,9 @@ def offered(field: str, name: str, wanted: str) -> Any:
 
 
 def imported(name: str) -> Any:
-    """Return the object that module:object names."""
+    """Return the object that module:object names, or the module that a name alone does."""
     module, _, attribute = name.partition(":")
-    return getattr(import_module(module), attribute)
+    return getattr(import_module(module), attribute) if attribute else import_module(module)
 
 
 def part_tables() -> dict[str, type[PartTable]]:

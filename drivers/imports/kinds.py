@@ -6,8 +6,7 @@ from pathlib import Path
 
 from drivers.files import Largest, opened, seen_in
 from drivers.imports import ardrone_capture, dataflash, px4_ulog
-from drivers.imports.network import LINE
-from drivers.imports.sentences import SENTENCE
+from drivers.ship_reports import NETWORK_LINE, SENTENCE
 from estimator.contracts.errors import refused
 from estimator.contracts.text import utf8_of
 
@@ -114,7 +113,7 @@ def _kind_of_text(head: bytes, suffix: str) -> FileKind:
     output = [line for line in lines if not line.startswith((b"#", b"//"))]
     if output and sum(map(_is_sentence, output)) > len(output) // 2:
         return FileKind.SENTENCES
-    if output and sum(LINE.fullmatch(line) is not None for line in output) > len(output) // 2:
+    if output and sum(NETWORK_LINE.fullmatch(line) is not None for line in output) > len(output) // 2:
         return FileKind.NETWORK
     # By different names: the rows of a log have few.
     if output and len({found[1] for line in output if (found := _PARAMETER.fullmatch(line))}) > len(output) // 2:

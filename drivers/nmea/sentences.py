@@ -40,16 +40,13 @@ from drivers.nmea.fields import (
 from drivers.nmea.motion import ShipMotion, Wind
 from drivers.nmea.transport import DATAGRAM_MAX, LINES_MAX
 from drivers.one_source import SourceChoice
+from drivers.ship_reports import COV_SPEED, HEADING_SIGMA_RAD, RATE_MAX, SOURCE_MAX
 from estimator.contracts.geometry import F64, GeoPoint, ned_between
-from estimator.contracts.samples import UNKNOWN_VAR, GeoFix, VesselMotion, VesselReport, VesselWind
+from estimator.contracts.samples import GeoFix, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, after, seconds_between
 
 _LINE_MAX = 1024  # longest sentence that is read, characters; the standard permits 82
-_RATE_MAX = 1000.0  # sentences that are read each second
 _BURST_MAX = 2.0 * LINES_MAX  # sentences that are read at once
-_SOURCE_MAX = 0.25
-"""Share of both that one source may have: a storm of one kind by one talker leaves time for the others, and one of all kinds
-leaves time for the flight."""
 _NAMES_MAX = 64  # sources that are counted apart
 _TALKERS_MAX = 16  # receivers that are kept
 _DAY_NS = 86_400 * NS_PER_S  # period of a time of day
@@ -87,13 +84,8 @@ _UNSAFE = "U"
 """Navigational status of version 4.11 that is none to sail by; V says only that the receiver does not judge it."""
 _AIS_SIGMA_M = {True: 5.0, False: 10.0}
 """Standard deviation of a position by the flag of AIS, m: the flag shows only whether it is better than 10 m."""
-HEADING_SIGMA_RAD = math.radians(2.0)
-"""Standard deviation of a ship's compass."""
 _SIGMA_TURN_RAD_S = math.radians(0.1)
 """Standard deviation of a rate of turn."""
-COV_SPEED = np.diag([0.2**2, 0.2**2, UNKNOWN_VAR])
-"""(3, 3) (m/s)^2 covariance of a ship's velocity by her GNSS receiver, which has no vertical one."""
-COV_SPEED.setflags(write=False)
 _AIS_NO_PLACE = {61: "typed_in", 63: "no_fix"}
 """Seconds of the minute that stand for a place that was typed in, or for none."""
 _AIS_RECKONED = 62  # seconds of the minute that stand for a place by dead reckoning
@@ -110,23 +102,6 @@ _MOTIONS = 60.0  # number of motions after which old ones count half
 _QUALITY_S = 3.0  # age beyond which the quality of a motion no longer counts
 _NOT_VALID = 2  # quality of a value that is not valid
 
-REFUSED_FOR = {
-    "no_fix": "the receiver has no fix",
-    "no_heading": "the compass has no heading yet",
-    "typed_in": "her place was typed in by hand",
-    "simulated": "it says that it is simulated; for a rehearsal set expert.vessel.nmea_simulated",
-    "reckoned": "its velocity is reckoned from an old place",
-    "impossible": "it holds a number that no ship has",
-    "no_variation": "a heading or course from magnetic north, and no variation",
-    "not_over_ground": "a wind over the water, whose current is not known",
-    "bad_quality": "the sensor says that its data are not good",
-    "other_receiver": "another of her receivers is used",
-    "repeated": "the same receiver says it in a sentence that has more about it",
-    "no_way": "an apparent wind without her heading and velocity",
-    "too_many": f"more than {_RATE_MAX:.0f} sentences a second, or {_SOURCE_MAX * _RATE_MAX:.0f} of one source",
-}
-"""Meanings of reasons whose names alone are not clear."""
-
 Samples = list[GeoFix | VesselReport | VesselMotion | VesselWind]
 
 
@@ -139,7 +114,7 @@ class SourceCount(Struct):
     last: MonoNs | None = None
     gap_s: float = 0.0
     """Mean time between two, over the last ten or so."""
-    allowance: float = _SOURCE_MAX * _BURST_MAX
+    allowance: float = SOURCE_MAX * _BURST_MAX
     """The number of them that may be read at once now."""
 
     def on_sentence(self, now: MonoNs) -> bool:
@@ -149,7 +124,7 @@ class SourceCount(Struct):
             since_s = seconds_between(self.last, now)
             self.gap_s += (since_s - self.gap_s) / min(10, self.used + self.refused.total())
         self.last = now
-        self.allowance = min(_SOURCE_MAX * _BURST_MAX, self.allowance + _SOURCE_MAX * _RATE_MAX * max(0.0, since_s))
+        self.allowance = min(SOURCE_MAX * _BURST_MAX, self.allowance + SOURCE_MAX * RATE_MAX * max(0.0, since_s))
         in_time = self.allowance >= 1.0
         self.allowance -= in_time
         return in_time
@@ -344,7 +319,7 @@ class NmeaReader:
     def _admits(self, count: SourceCount, now: MonoNs) -> bool:
         """Return whether there is time to read one more sentence of a source, and count it among those that came."""
         passed_s = max(0.0, seconds_between(self._tokens_at, now))
-        self._tokens, self._tokens_at = min(_BURST_MAX, self._tokens + _RATE_MAX * passed_s), now
+        self._tokens, self._tokens_at = min(_BURST_MAX, self._tokens + RATE_MAX * passed_s), now
         if not count.on_sentence(now) or self._tokens < 1.0:
             return False
         self._tokens -= 1.0

@@ -15,8 +15,9 @@ import numpy as np
 
 from drivers.nmea.fields import COURSE_FROM_M_S, KNOT_M_S, SPEED_MAX_KN, Refused
 from drivers.nmea.motion import HEAVE_MAX_M, TILT_MAX_DEG, TURN_MAX_DEG_S, WIND_MAX_M_S, over_ground
-from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD, WIND_RANK, SourceCount
+from drivers.nmea.sentences import WIND_RANK, SourceCount
 from drivers.one_source import SourceChoice
+from drivers.ship_reports import COV_SPEED, HEADING_SIGMA_RAD
 from estimator.contracts.geometry import F64, GeoPoint
 from estimator.contracts.samples import GeoFix, VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from msgspec.structs import replace
 
-from drivers.relpos import FLOOR_M
+from drivers.ship_reports import FLOOR_M
 from estimator.contracts.geometry import moved, wrap_pi
 from estimator.contracts.samples import Baseline, GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after

@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
+from companion.settings.capabilities import offered
 from companion.settings.load import read_toml
 from companion.settings.overrides import finite
 from companion.settings.schema import explain
@@ -56,8 +57,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     Raises:
         BadInput: the file cannot be read, or has no such stretch of 10 s.
     """
-    from drivers.nmea.motion import ship_motion  # its libraries are not needed where no log is read
-
+    ship_motion = offered("importers", "MOTION", f"{path}: a ship's log").ship_motion
     lines = utf8_of(bytes_of(path, Largest.LOG)).decode("ascii", "replace").splitlines()
     places, headings, moved, t_s = [], [], [], math.nan
     for line in lines:

@@ -25,7 +25,7 @@ from companion.settings.model import CameraSettings, Settings
 from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.vehicle import Stack
 from drivers.nmea.fields import KNOT_M_S
-from drivers.nmea.sentences import REFUSED_FOR
+from drivers.ship_reports import REFUSED_FOR
 from estimator.contracts.geometry import F64, GeoPoint, moved
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from sitl.sensors.sensors import ORIGIN

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from drivers.imports import network
+from drivers.nmea import network_log as network
 from estimator.contracts.estimates import Pose6, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation, rpy_matrix
 from estimator.contracts.samples import VesselMotion, VesselReport

@@ -59,8 +59,8 @@ from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.spool import Spool
 from companion.settings import files
 from drivers.mailbox import Line
-from drivers.nmea.sentences import COV_SPEED, HEADING_SIGMA_RAD
 from drivers.reconnect import BackOff, reconnect
+from drivers.ship_reports import COV_SPEED, HEADING_SIGMA_RAD
 from estimator.contracts.errors import Recoverable, in_words
 from estimator.contracts.geometry import GeoPoint
 from estimator.contracts.samples import GeoFix, Sample, VehicleStatus, VesselReport

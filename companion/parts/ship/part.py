@@ -13,13 +13,14 @@ from companion.settings.vessel import VesselOptions
 from drivers.endpoint import parse_bus
 from drivers.extras import require
 from drivers.mailbox import Line
-from drivers.nmea.sentences import REFUSED_FOR, NmeaReader, by_source
+from drivers.nmea.sentences import NmeaReader, by_source
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
 from drivers.nmea.ship_wires import read_bus
 from drivers.nmea.transport import SentenceSource, sentences_from
 from drivers.one_source import SourceChoice
 from drivers.relpos import RelposReader
+from drivers.ship_reports import REFUSED_FOR
 from drivers.wires import open_wire
 from estimator.contracts.errors import Recoverable, refused
 from estimator.contracts.samples import Sample

@@ -11,7 +11,6 @@ import ssl
 import sys
 from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 
 import aiohttp
@@ -20,27 +19,20 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.settings import files
+from companion.settings.capabilities import CAPABILITIES, imported
 from companion.settings.links import HttpSettings
 from companion.settings.model import Settings
-from companion.settings.vessel import VesselOptions
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import RENAMED, differing, names_in
-from companion.tools.doctor.gather_service import figures, files_of, servers_of, ship_sources
-from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, ShipSource, Snapshot
+from companion.tools.doctor.gather_service import figures, files_of, servers_of
+from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, Snapshot
 from drivers.camera.open_camera import open_camera
-from drivers.endpoint import parse_bus
-from drivers.extras import require
+from drivers.extras import is_installed
 from drivers.files import Largest, bytes_of
 from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
 from drivers.imports.log_history import AutopilotLog, LogHistory
 from drivers.log_stamps import Tell
-from drivers.nmea.sentences import NmeaReader, by_source
-from drivers.nmea.ship_bus import BusReader
-from drivers.nmea.ship_sensors import ShipSensors
-from drivers.nmea.ship_wires import read_bus
-from drivers.nmea.transport import SentenceSource, sentences_from
-from drivers.one_source import SourceChoice
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import Clock, seconds_between
@@ -57,8 +49,6 @@ _LARGEST = 3.4e38
 """An autopilot keeps 32 bits of a value."""
 _FIRST_FRAME_S = 5.0
 """Longest time until a camera's first frame, seconds."""
-_LONGER = 2.5
-"""Time of listening to the ship, whose receivers report once a second, against that of counting frames."""
 
 
 def examine_log(path: Path) -> Snapshot:
@@ -215,6 +205,10 @@ def _parameter_in(line: str) -> tuple[str, float | None, bool] | None:
     return words[0], value if abs(value) <= _LARGEST else None, len(words) > 2
 
 
+Examine = Callable[[ServiceSnapshot, Settings, Clock, float], Awaitable[ServiceSnapshot]]
+"""Examines what a capability reads, for some seconds, and returns the snapshot with what was found."""
+
+
 async def examine_service(
     settings: Settings | None, broker: str | None, clock: Clock, seconds: float = 2.0, timeout_s: float = 2.0
 ) -> ServiceSnapshot:
@@ -246,8 +240,10 @@ async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeo
     scraped = await _scrape(settings, timeout_s)
     if scraped is not None:
         return _of_metrics(snapshot, settings, scraped)
-    sources, fault = await listen(settings.vessel, clock, seconds)
-    snapshot = structs.replace(snapshot, ship_sources=sources, ship_fault=fault)
+    for capability in CAPABILITIES:
+        if capability.examine and capability.wanted_by(settings) and is_installed(capability.module):
+            examine: Examine = imported(capability.examine)
+            snapshot = await examine(snapshot, settings, clock, seconds)
     return await _of_camera(snapshot, settings, clock, seconds)
 
 
@@ -314,42 +310,6 @@ def _of_metrics(snapshot: ServiceSnapshot, settings: Settings, scraped: list[Sam
         s.labels["stage"]: s.value for s in scraped if s.name == "decklander_stage_seconds" and s.labels["quantile"] == "0.5"
     }
     return figures(snapshot, settings, counts, rates_hz, medians_s)
-
-
-async def listen(options: VesselOptions, clock: Clock, seconds: float) -> tuple[tuple[ShipSource, ...], str | None]:
-    """Listen to her for some seconds as the service does; return her sources, and why one of the ways to her is closed."""
-    choice, faults, taken = SourceChoice(), list[str](), list[object]()
-    reader = NmeaReader(options.mmsi, options.nmea_simulated, choice)
-    source = SentenceSource(options.nmea_from, lambda lines, at: taken.extend(reader.samples(lines, at)))
-    sensors = ShipSensors(options.nmea_simulated, choice)
-    seconds *= _LONGER
-
-    async def sentences() -> None:
-        async with sentences_from(options.endpoint(), source, clock):
-            await clock.sleep(seconds)
-
-    async def bus() -> None:
-        address = parse_bus(options.bus)
-        if address.signalk is None:
-            require(f"vessel.bus {options.bus}", "ship", "nmea2000", "can")
-        with suppress(TimeoutError):
-            async with asyncio.timeout(seconds):
-                await read_bus(address, BusReader(sensors), lambda samples: None, clock, lambda: None)
-
-    async def noted(body: Callable[[], Awaitable[None]]) -> None:
-        try:
-            await body()
-        except DecklanderError as why:
-            faults.append(str(why))
-
-    # At once, as the service does: a source that rests would seem silent, and another one chosen.
-    await asyncio.gather(*[noted(body) for given, body in ((options.nmea, sentences), (options.bus, bus)) if given])
-    now = clock.now()
-    refused = {f"refused_{why}": float(n) for why, n in (reader.refused + source.refused).items()}
-    found = ship_sources({"sentences": by_source(reader.sources, now) | refused, "bus": by_source(sensors.sources, now)})
-    if (options.nmea or options.bus) and not found and not faults:
-        faults.append(f"nothing of the ship arrives within {seconds:g} s")
-    return found, "; ".join(faults) or None
 
 
 async def _unreachable(host: str, port: int, timeout_s: float) -> str | None:

@@ -19,14 +19,12 @@ from drivers.files import Largest, bytes_of
 from drivers.log_stamps import Tell, timeline
 from drivers.nmea.sentences import NmeaReader
 from drivers.one_source import SourceChoice
+from drivers.ship_reports import SENTENCE
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import NS_PER_S, MonoNs
 
-SENTENCE = re.compile(
-    rb"(\\[^\\]*\\)?[$!][A-Za-z]{4,6},[ -~]*?(?:\*[0-9A-Fa-f]{2}|$)|:[0-9A-Fa-f]{6} [- ]\d{4}[A-Za-z][- ]\d{4} [- ]\d{4}"
-)
 _TIME = re.compile(
     r"(?P<day>\d{4}[-/]\d\d[-/]\d\d|\d\d/\d\d/\d{4})[T ,]+(?P<clock>\d\d:\d\d:\d\d(?:\.\d+)?)"
     r"|(?P<unix>(?<!\d)\d{9,13}(?:\.\d+)?)|(?P<only>\d\d:\d\d:\d\d(?:\.\d+)?)|(?P<s>(?<!\S)\d{1,8}\.\d+)"

@@ -1,28 +1,19 @@
 """Read logs of a ship's network: canboat's lines and JSON, candump's, and what gateways send with a time in each line."""
 
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.extras import require
 from drivers.files import Largest, bytes_of
-from drivers.imports.sentences import filled, logger_s
 from drivers.log_stamps import Tell, timeline
+from drivers.nmea.sentence_log import filled, logger_s
 from drivers.nmea.ship_bus import BusReader
 from drivers.nmea.ship_sensors import ShipSensors
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import MonoNs
-
-LINE = re.compile(
-    rb"\d{4}-\d\d-\d\d[T-][\d:.]+Z?(?:,\d+){5}(?:,[0-9a-fA-F]{2})+"
-    rb"|\(\d+\.\d+\) +\S+ +[0-9a-fA-F]{8}#[0-9a-fA-F]*"
-    rb"|\d\d:\d\d:\d\d\.\d+ +[RT](?: +[0-9a-fA-F]{8})(?: +[0-9a-fA-F]{2})+"
-    rb'|\{"timestamp":.*"pgn":.*\}'
-)
-"""A line of a log whose time `logger_s` finds."""
 
 
 def read(path: Path, tell: Tell) -> Iterator[Sample]:
