@@ -106,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
     if args.map:
         output = {text.partition("=")[0] for text in args.vary}
         args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
+    flight_options.choose_vehicle(args)
     args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
     seeds = plans.seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers

@@ -1,11 +1,17 @@
 """Options of the commands that simulate flights: how the pad is perceived, and what differs from scenario and settings."""
 
 import argparse
+from pathlib import Path
 
 from companion.cli.options import option
+from companion.settings.load import find_file, shipped
 from companion.settings.model import Settings
 from companion.settings.overrides import warn_of_idle
+from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import PERCEPTIONS
+
+ARDRONE = "ardrone2"
+"""The shipped vehicle that flies by itself, without an autopilot."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--perception-model FILE",
         "error model of --perception model or truth, from python -m study.perception (default: the shipped one of vision.method)",
     )
+    others = ", ".join(name for name in shipped("vehicles") if name != ARDRONE)
+    flown = (
+        f"fly this vehicle instead of the scenario's: ardrone, {others}, or a vehicle file; all but an AR.Drone by an autopilot"
+    )
+    option(parser, "--vehicle NAME", f"{flown} (default: arducopter)")
     meaning = "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated"
     option(parser, "--set KEY=VALUE", meaning, default=[], action="append")
     option(
@@ -34,6 +45,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type="wrong_model.sigma={}".format,
     )
+
+
+def choose_vehicle(args: argparse.Namespace) -> None:
+    """Let `--vehicle` replace the scenario's vehicle; one with an autopilot is flown by it, ArduCopter's unless another is named.
+
+    Raises:
+        BadInput: there is no such vehicle, or `--set` names one too.
+    """
+    if args.vehicle is None:
+        return
+    if any(one.startswith("vehicle.file=") for one in args.set):
+        raise BadInput("--vehicle sets vehicle.file: give one of them")
+    name = ARDRONE if args.vehicle == "ardrone" else args.vehicle
+    find_file(name, "vehicles", Path(), "--vehicle")
+    args.set = [f"vehicle.file={name}", *args.set]
+    if name != ARDRONE:
+        args.autopilot = args.autopilot or "arducopter"
 
 
 def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:

@@ -76,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
     perception = perception_level(args.perception)
+    flight_options.choose_vehicle(args)
     follows, beside = args.follow is not None, args.autopilot is not None
     of_program = args.binary is not None or args.keep is not None or args.physics != "ours"
     with_program = of_program or args.param or args.unaided

@@ -5,7 +5,6 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from estimator.contracts.errors import BadInput
 from estimator.contracts.time import NS_PER_S, MonoNs
 from sitl.faults.fault import Corruptions
 from sitl.scenario.scenario import Scenario, refuse_gimbal
@@ -27,7 +26,7 @@ class Drive(Protocol):
     step_ns: int
     """Step of the physics, ns."""
 
-    def fits(self, scenario: Scenario, airframe: Airframe) -> None:
+    def fits(self, scenario: Scenario) -> None:
         """Refuse a scenario that it cannot fly; raises BadInput."""
         ...
 
@@ -68,7 +67,7 @@ class StickDrive:
         self._corruptions = corruptions
         self.newest = Stick()
 
-    def fits(self, scenario: Scenario, airframe: Airframe) -> None:
+    def fits(self, scenario: Scenario) -> None:
         refuse_gimbal(scenario)
 
     def arrive(self, vehicle: Vehicle, at: MonoNs) -> None:
@@ -107,7 +106,9 @@ def wrench(airframe: Airframe, motors: Sequence[float], curve: float) -> tuple[f
 
 
 class MotorDrive:
-    """The motors of a quad X. With every motor stopped, the vehicle may come to rest on the deck and move with it.
+    """The motors of a quad X, or four in the place of more that give their thrust and torque.
+
+    With every motor stopped, the vehicle may come to rest on the deck and move with it.
 
     Args:
         step_s: step of the physics, at most 5 ms.
@@ -119,9 +120,8 @@ class MotorDrive:
         self.newest = STILL
         self._empty = False
 
-    def fits(self, scenario: Scenario, airframe: Airframe) -> None:
-        if airframe.layout != "quad_x":
-            raise BadInput("--autopilot flies four rotors in an X; the scenario's vehicle has another layout")
+    def fits(self, scenario: Scenario) -> None:
+        pass
 
     def arrive(self, vehicle: Vehicle, at: MonoNs) -> None:
         motors = STILL if self._empty else self.newest

@@ -182,7 +182,7 @@ class World:
         self._step_s = self._drive.step_ns / NS_PER_S
         self._chunk = round(_CHUNK_S / self._step_s)
         seeds, frame = flight_seeds(seed), airframe(scenario)
-        self._drive.fits(scenario, frame)
+        self._drive.fits(scenario)
         self._camera_seed = seeds.camera
         self.waves, self.vessel = sea_and_vessel(scenario, [seeds.sea])
         shape = deck_shape(self.vessel.hull, math.radians(scenario.vessel.pad_yaw_deg))

@@ -24,7 +24,7 @@ from drivers.camera.exposure import ExposureSetting
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.links import LinkOptions, Links, open_links
-from estimator.contracts.errors import Recoverable
+from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.camera.film import SimulatedExposure
@@ -44,7 +44,7 @@ from sitl.faults.faulty_streams import FlightFaults
 from sitl.flight.afterwards import Afterwards, cpu_s
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
-from sitl.scenario.scenario import Scenario, refuse_gimbal
+from sitl.scenario.scenario import Scenario, refuse_gimbal, vehicle_model
 from sitl.world.truth import Truth
 
 HOST = "127.0.0.1"
@@ -106,6 +106,8 @@ class AutopilotFlight:
 
     def __post_init__(self) -> None:
         refuse_gimbal(self.scenario)
+        if vehicle_model(self.scenario).airframe().layout != "quad_x":
+            raise BadInput("--binary flies four rotors in an X; the scenario's vehicle has another layout")
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         unaided = self.autopilot.unaided
         self.scenario = begun_in_air(self.scenario, self.seed)

@@ -139,6 +139,9 @@ def test_sigterm_leaves_neither_program_nor_folder(tmp_path: Path, near: str) ->
     ("words", "said"),
     [
         (["--physics", "own"], "go with --binary PATH, a program"),
+        (["--vehicle", "octa"], "--vehicle: there is no file 'octa'"),
+        (["--vehicle", "hexa_7kg", "--set", "vehicle.file=hexa_7kg"], "give one of them"),
+        (["--vehicle", "hexa_7kg", "--binary", "/bin/sh"], "--binary flies four rotors in an X"),
         (["--binary", __file__], "is no program that can be run"),
         (["--binary", "/bin/sh", "--record", "/dev/null"], "--record /dev/null: the name of a recording must end in .mcap"),
         (["--binary", "/bin/sh", "--follow", "udpin://127.0.0.1:0"], "does not go with"),

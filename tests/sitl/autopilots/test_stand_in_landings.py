@@ -116,6 +116,15 @@ def test_it_lands_by_sight_and_an_autopilots_filtered_gyro_is_not_taken_for_a_sl
     assert abs(seen.delay_s) < 0.012, "as stamped they are 18 ms apart"
 
 
+@pytest.mark.parametrize(("vehicle", "stack"), [("hexa_7kg", "px4"), ("quad_1_5kg", "arducopter")])
+def test_every_vehicle_lands_by_an_autopilot_that_is_set_up_for_it_and_a_seed_gives_the_same_flight(vehicle, stack):
+    of_vehicle = msgspec.structs.replace(load("calm").vehicle, file=vehicle)
+    flights = [flight_of(stack, "calm", 5, "model", vehicle=of_vehicle).fly() for _ in range(2)]
+    first, again = ({**end.as_json(), "cpu_s": 0.0} for end in flights)
+    assert first == again
+    assert flights[0].ending.standing.lateral_m < 0.15
+
+
 @pytest.mark.timeout(400)
 def test_a_contact_without_a_step_of_the_accelerometer_is_felt_on_a_falling_deck(monkeypatch):
     """The speeds over the ground alone do not show this contact: the vehicle goes around after it."""

@@ -20,7 +20,7 @@ from sitl.emulators.autopilots.programs import arducopter
 from sitl.emulators.autopilots.programs.arducopter import CURVE
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
-from sitl.vehicle.airframe import ardrone2
+from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.world.drives import Motors
 
 _ROOT = math.sqrt(2.0)
@@ -81,13 +81,23 @@ _SEEN_S = 2.0
 
 
 class CopterStandIn(StandIn):
-    """Flies a body as ArduCopter does."""
+    """Flies a body as ArduCopter does.
 
-    def __init__(self, clock: Clock, parameters: Mapping[str, float] | None = None, step_s: float = 0.0025) -> None:
+    Args:
+        airframe: the vehicle that it is set up for; None for an AR.Drone's.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        parameters: Mapping[str, float] | None = None,
+        step_s: float = 0.0025,
+        airframe: Airframe | None = None,
+    ) -> None:
         given = {**DEFAULTS, **arducopter.PARAMETERS, **(parameters or {})}
         super().__init__(Stack.ARDUPILOT, clock, given, "stabilize")
         self.step_s = step_s
-        self._cascade = Cascade(COPTER_GAINS, ardrone2(), CURVE, step_s)
+        self._cascade = Cascade(COPTER_GAINS, airframe or ardrone2(), CURVE, step_s)
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._wanted_s = -math.inf
         self._attitude_rad: tuple[float, float, float] | None = None

@@ -11,8 +11,7 @@ from sitl.emulators.autopilots.body import BodyState
 from sitl.vehicle.airframe import Airframe
 from sitl.world.drives import Motors
 
-_TORQUE_MAX_N_M = 1.0
-_YAW_MAX_N_M = 0.15
+_YAW_SHARE = 0.5  # of the largest torque about the vertical axis that the yaw loop takes
 _VELOCITY_S = 0.032
 """Time constant of the filter of the velocity's derivative, 5 Hz (MPC_VELD_LP, PSC_VELXY_FLTE)."""
 _LIFT_FILTER_S = 0.016
@@ -104,6 +103,7 @@ class Cascade(Struct):
 
     gains: LoopGains
     airframe: Airframe
+    """The vehicle that the autopilot is set up for; six rotors are flown as four that give the same thrust and torque."""
     curve: float
     step_s: float
     wind_ned: F64 = field(default_factory=lambda: np.zeros(3))
@@ -170,7 +170,7 @@ class Cascade(Struct):
         off = (self._lean[0] - roll, self._lean[1] - pitch)
         tx, ty = self._torque(g.angle_p * np.array(off) + rate, s.w_body[:2])
         iz = f.inertia_kg_m2[2]
-        tz = _within(iz * 6.0 * (yaw_rate_rad_s - s.w_body[2]), _YAW_MAX_N_M)
+        tz = _within(iz * 6.0 * (yaw_rate_rad_s - s.w_body[2]), _YAW_SHARE * f.torque_max_n_m[2])
         t, x, y = 0.25 * self.thrust_fraction * f.thrust_max_n, tx / (4 * f.arm_m), ty / (4 * f.arm_m)
         z = tz / (4 * f.yaw_torque_per_thrust_m)
         # front right, rear left, front left, rear right
@@ -185,7 +185,8 @@ class Cascade(Struct):
         missing = self._w.value if g.of_errors else wanted_rad_s + self._w.value
         self._wound = np.clip(self._wound + self.step_s * g.rate_i * missing, -g.rate_i_max, g.rate_i_max)
         asked = unit_n_m * (g.rate_p * missing + self._wound + g.rate_d * self._w.rate)
-        return np.asarray(np.clip(asked, -_TORQUE_MAX_N_M, _TORQUE_MAX_N_M))
+        most = self.airframe.torque_max_n_m[0]
+        return np.asarray(np.clip(asked, -most, most))
 
 
 def _within(value: float, most: float) -> float:

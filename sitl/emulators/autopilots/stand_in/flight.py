@@ -50,7 +50,7 @@ from sitl.flight.service import SimulatedService
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level, Perception
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, vehicle_model
 from sitl.scenario.with_fault import with_random_faults
 from sitl.world.truth import RenderedFrame, Truth
 
@@ -248,9 +248,10 @@ class StandInFlight:
         self._under_way.clear()
 
     def _stand_in(self) -> StandIn:
+        airframe = vehicle_model(self.scenario).airframe()
         if self.autopilot == "px4":
-            return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": take_off_m(self.scenario), **self.parameters})
-        return CopterStandIn(self.clock, self.parameters, STEP_S)
+            return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": take_off_m(self.scenario), **self.parameters}, airframe)
+        return CopterStandIn(self.clock, self.parameters, STEP_S, airframe)
 
     def _go_on(self) -> None:
         """Let some time pass, and act as the people do, and whoever starts a killed service again."""
