@@ -78,6 +78,10 @@ class OperatorView(Struct, frozen=True, eq=False):
     """True if the landing begins at rest over the ground instead of with the velocity of the start."""
 
 
+READS = frozenset({"HEARTBEAT", "STATUSTEXT", "COMMAND_ACK"})
+"""Messages that the ground station reads."""
+
+
 class GroundStation:
     """Processes the messages of autopilot and companion and returns those to send.
 

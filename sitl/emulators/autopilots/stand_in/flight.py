@@ -40,7 +40,7 @@ from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
 from sitl.emulators.autopilots.stand_in.base import STEP_S, GimbalLink, StandIn
 from sitl.emulators.autopilots.stand_in.memory_link import MemoryLink
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from sitl.emulators.autopilots.station import STATION
+from sitl.emulators.autopilots.station import READS, STATION
 from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
 from sitl.emulators.autopilots.watch import FlightWatch
 from sitl.faults.carried import refuse_others
@@ -224,7 +224,8 @@ class StandInFlight:
         to_service, to_station = _ends(program)
         (from_station,) = _ends(operator)
         to_service.carry, self.link.to_program = self.link.from_program, to_service.receive
-        to_station.carry, from_station.carry = from_station.receive, to_station.receive
+        from_station.carry = to_station.receive
+        to_station.carry = lambda message: from_station.receive(message) if message.get_type() in READS else None
         self.conduct.send, self._operator = operator.send, operator
         self._serve(None)
 
