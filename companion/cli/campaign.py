@@ -182,7 +182,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
     if beside:
-        refuse_others(name, scenario.faults, stand_in=True)
+        refuse_others(name, scenario.faults, "stand-in")
     plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     if beside:
         plan = replace(plan, design=plans.described(f"stand-in of {args.autopilot}", []))

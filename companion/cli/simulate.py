@@ -24,7 +24,6 @@ from companion.settings.overrides import finite
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
 from sitl.campaign.plan import Overridable
-from sitl.faults.carried import refuse_others
 from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
 from sitl.perception.levels import perceive
@@ -126,7 +125,6 @@ def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
     scenario = load_scenario(args.scenario, args.base)
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception, autopilot=True)
-    refuse_others(args.scenario, scenario.faults, stand_in=binary is None)
     settings = settings_for(scenario, args.config, by_autopilot=True)
     given = Overridable(scenario, settings, by_autopilot=True)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from companion.settings.load import find_file, read_toml
@@ -78,7 +76,7 @@ class PictureEffects:
     def _polygons(self, fault: PictureFault, t_s: float, camera_m: F64) -> list[Polygon]:
         match fault:
             case Bystander():
-                return Solid.of(fault).polygons(t_s, camera_m)
+                return _standing(fault, t_s, camera_m)
             case PadCovered():
                 reach = 1.15 * self._pad.disc_radius_m
                 from_m = (1.0 - 2.0 * fault.fraction) * self._pad.disc_radius_m
@@ -176,58 +174,27 @@ def _behind_drops(px: U8, fault: WetLens, seed: int) -> U8:
     return np.asarray(np.round(share * blurred + (1.0 - share) * px), np.uint8)
 
 
-SolidKind = Literal["box", "person", "bird", "drone"]
+def _standing(body: Bystander, t_s: float, camera_m: F64) -> list[tuple[F64, RGB]]:
+    """Return the polygons of a body ((N, 3) m in `pad`, sRGB), those behind first.
 
-
-class Solid(Struct, frozen=True):
-    """A body on or over the deck, at rest or on its way to another place and back. Places are in `pad`."""
-
-    kind: SolidKind
-    at_m: tuple[float, float]
-    width_m: float
-    height_m: float
-    """Height of its top over the deck."""
-    to_m: tuple[float, float] | None = None
-    """Place where it turns; None for a body at rest."""
-    speed_m_s: float = 0.0
-
-    @staticmethod
-    def of(fault: Bystander) -> Solid:
-        """Return the body of a fault."""
-        turns = (fault.to_forward_m, fault.to_right_m) if fault.speed_m_s > 0.0 else None
-        return Solid(fault.thing, (fault.forward_m, fault.right_m), fault.width_m, fault.height_m, turns, fault.speed_m_s)
-
-    def place_m(self, t_s: float) -> F64:
-        """Return its place on the deck, (2,) m, at an instant."""
-        start = np.array(self.at_m)
-        if self.to_m is None or self.speed_m_s <= 0.0:
-            return start
-        way = np.array(self.to_m) - start
-        length = max(1e-6, float(np.hypot(*way)))
-        gone = math.fmod(self.speed_m_s * t_s, 2.0 * length)
-        return np.asarray(start + way / length * min(gone, 2.0 * length - gone))
-
-    def polygons(self, t_s: float, camera_m: F64) -> list[tuple[F64, RGB]]:
-        """Return its polygons ((N, 3) m in `pad`, sRGB), those behind first.
-
-        Args:
-            t_s: time of the flight.
-            camera_m: place of the camera, (3,) m in `pad`.
-        """
-        x, y = self.place_m(t_s).tolist()
-        half, top = 0.5 * self.width_m, -self.height_m
-        if self.kind == "box":
-            return _box(x, y, half, top, camera_m)
-        if self.kind == "person":
-            return _person(x, y, half, self.height_m)
-        if self.kind == "bird":
-            beat = 0.3 * half * math.sin(25.0 * t_s)
-            wings = [(0.0, -half, beat), (0.3 * half, 0.0, 0.0), (0.0, half, beat), (-0.25 * half, 0.0, 0.0)]
-            body = [(0.5 * half, 0.0, 0.0), (0.0, 0.12 * half, 0.0), (-0.5 * half, 0.0, 0.0), (0.0, -0.12 * half, 0.0)]
-            there = np.array([x, y, top])
-            return [(np.array(wings) + there, (205, 208, 210)), (np.array(body) + there, (240, 240, 240))]
-        arms = [(_disc(x + 0.7 * half * a, y + 0.7 * half * b, 0.3 * half, top), (40, 42, 44)) for a in (-1, 1) for b in (-1, 1)]
-        return [*arms, (_disc(x, y, 0.35 * half, top), (180, 40, 36))]
+    Args:
+        t_s: time of the flight.
+        camera_m: place of the camera, (3,) m in `pad`.
+    """
+    x, y = body.place_m(t_s).tolist()
+    half, top = 0.5 * body.width_m, -body.height_m
+    if body.thing == "box":
+        return _box(x, y, half, top, camera_m)
+    if body.thing == "person":
+        return _person(x, y, half, body.height_m)
+    if body.thing == "bird":
+        beat = 0.3 * half * math.sin(25.0 * t_s)
+        wings = [(0.0, -half, beat), (0.3 * half, 0.0, 0.0), (0.0, half, beat), (-0.25 * half, 0.0, 0.0)]
+        trunk = [(0.5 * half, 0.0, 0.0), (0.0, 0.12 * half, 0.0), (-0.5 * half, 0.0, 0.0), (0.0, -0.12 * half, 0.0)]
+        there = np.array([x, y, top])
+        return [(np.array(wings) + there, (205, 208, 210)), (np.array(trunk) + there, (240, 240, 240))]
+    arms = [(_disc(x + 0.7 * half * a, y + 0.7 * half * b, 0.3 * half, top), (40, 42, 44)) for a in (-1, 1) for b in (-1, 1)]
+    return [*arms, (_disc(x, y, 0.35 * half, top), (180, 40, 36))]
 
 
 def _disc(x: float, y: float, radius: float, z: float, aspect: float = 1.0) -> F64:

@@ -4,13 +4,14 @@ Whatever is drawn can be written into a scenario file, and made simpler step by 
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec.structs import replace
 
-from sitl.faults.fault import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Fault, Signal, SignalError, errors_of
+from sitl.faults.corrupted import FACTS, LATE_MAX_S, UNSIZED, Corrupted, Signal, SignalError, errors_of
+from sitl.faults.fault import Fault
 from sitl.faults.kinds import (
     AnyFault,
     CommandStream,
@@ -97,10 +98,6 @@ class Drawable(NamedTuple):
     pad: str = "thesis"
     rendered: bool = False
     """Frames are rendered, so that another pad can be painted over the right one."""
-    kinds: frozenset[str] | None = None
-    """The kinds of `SHARES` that can act; None for all but an autopilot's."""
-    errors: Callable[[Signal, SignalError], bool] = lambda signal, error: True
-    """Returns whether a signal can be wrong in this way."""
     autopilot: bool = False
     """An autopilot flies it: a person may have a remote control, and it has failsafes."""
 
@@ -142,7 +139,7 @@ NEUTRAL: Mapping[type[Fault], Mapping[str, float]] = {
 def draw(seed: int, there: Drawable) -> tuple[AnyFault, ...]:
     """Return the faults of a seed: of one kind, or of two different ones. Half of the pairs begin together."""
     rng = np.random.default_rng([seed, _STREAM])
-    possible = SHARES.keys() - {"failsafe"} if there.kinds is None else there.kinds
+    possible = SHARES.keys() if there.autopilot else SHARES.keys() - {"failsafe"}
     bag = tuple(kind for kind, share in SHARES.items() if kind in possible for _ in range(share))
     kinds = [_pick(rng, bag)]
     while len(kinds) == 1 and rng.random() < _PAIRS:
@@ -182,14 +179,14 @@ def _one(rng: Rng, kind: str, there: Drawable, begins: dict[str, Any]) -> AnyFau
         case "operator":
             return _act(rng, begins, there)
         case "level":
-            signals = [s for s in there.signals if s in _LEVELS and there.errors(s, "biased")]
+            signals = [s for s in there.signals if s in _LEVELS]
             since = {"at_s": 0.0} if rng.random() < 0.5 else begins
             return _biased(rng, _pick(rng, signals), since)
         case "failsafe":
             takes: Any = _pick(rng, ("land", "hold"))
             return Failsafe(takes=takes, **begins)
         case "commands":
-            if rng.random() < 1.0 / 3.0 and there.errors("commands", "scaled"):
+            if rng.random() < 1.0 / 3.0:
                 return Corrupted(signal="commands", error="scaled", size=0.5, for_s=_for(rng, 1.0, 20.0), **begins)
             if rng.random() < 0.5:
                 return CommandStream(dropped_fraction=_short(rng.uniform(0.1, 0.7)), for_s=_for(rng, 1.0, 30.0), **begins)
@@ -270,8 +267,8 @@ def _as_level(signal: Signal, size: float) -> float:
 
 
 def _corrupted(rng: Rng, there: Drawable, begins: dict[str, Any]) -> Corrupted:
-    signal = _pick(rng, [s for s in there.signals if any(there.errors(s, error) for error in errors_of(s))])
-    error = _pick(rng, [error for error in errors_of(signal) if there.errors(signal, error)])
+    signal = _pick(rng, there.signals)
+    error = _pick(rng, errors_of(signal))
     more: dict[str, Any] = {}
     axes = FACTS[signal].axes
     if axes > 1 and rng.random() < 0.7:

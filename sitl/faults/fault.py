@@ -1,27 +1,21 @@
-"""Faults of a simulated flight: when one begins and how long it lasts, those of the vehicle's sensors, and which are active.
+"""Faults of a simulated flight: when one begins, how long it lasts, where it acts, and which are active.
 
 A fault has a `kind`, exactly one beginning (`at_s`, `below_height_m`, `above_height_m`, `in_phase` or `per_minute`) and a
 duration `for_s`; without one it lasts for the rest of the flight. The seed may put the beginning off (`drawn_within_s`).
 
-There is one kind a sensor, with what it does to the readings. A reading may be frozen, delayed, dropped, scaled, offset,
-drifting, noisy or clipped, in this order when several are given. Offsets and the like carry the unit of the sensor in their name.
-
-Where the other kinds say what a known failure does, corrupted signals know nothing of failures: what one sensor says is wrong, in
-one of a few ways, on one axis, while it goes on saying something. Any error of their table may fall on any signal.
-`sitl.faults.drawn` draws them by a seed; a scenario may list them as any other fault.
+Each part of a flight (world, streams, sensors, camera, ship, person) hands its record to every active fault, which writes into it
+what it does there (`sitl.faults.acts`). No part asks for kinds.
 """
 
 import math
-from collections import deque
-from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
 from msgspec import Struct
 
 from companion.base.mission import State
-from estimator.contracts.geometry import wrap_pi
-from estimator.contracts.keys import choice, number, text
-from estimator.contracts.time import MonoNs, after
+from estimator.contracts.keys import number, text
+from sitl.faults.acts import OnFrame, OnSight, OnVehicle, Passage, Stream, Vehicles
 
 PHASES = tuple(state.value for state in State)
 """The phases of guidance that a fault may begin in."""
@@ -76,155 +70,33 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_f
         """The fault in words, for people."""
         return self.kind
 
+    # Its acts: a part of the flight calls its own for every active fault; by default it does nothing there.
 
-_OFFSET, _DRIFT = "added to the true value", "added for each second since the fault began"
-_NOISE, _LIMIT = "standard deviation of added white noise", "largest magnitude that the sensor can tell"
-_AXIS = "affected axis of the body: x forward, y right, z down"
-Axis = Literal["x", "y", "z", "all"]
-MOST_DELAY_S = 2.0
+    CARRIED: ClassVar[frozenset[Vehicles]] = frozenset({"ardrone", "stand-in", "program", "own physics"})
+    """The vehicles on which it can act."""
+    KILLS_SERVICE: ClassVar[bool] = False
+    """True if no service runs while it lasts."""
+    CUTS_LINK: ClassVar[bool] = False
+    """True if nothing passes between vehicle and service while it lasts."""
 
+    def carried_by(self, vehicle: Vehicles) -> bool:
+        """Return whether it can act on a vehicle."""
+        return vehicle in self.CARRIED
 
-class ReadingErrors(NamedTuple):
-    """Errors of a sensor's values, in SI units and radians."""
+    def on_begin(self, world: Any) -> None:
+        """Act once on a `sitl.world.world.World`, as it begins."""
 
-    offset: tuple[float, ...] = (0.0,)
-    drift: tuple[float, ...] = (0.0,)
-    noise: float = 0.0
-    limit: float = math.inf
-    axes: tuple[bool, ...] = (True,)
-    """The values of the reading that noise, scale and limit act on."""
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        """Act on the vehicle's body at a step."""
 
+    def on_stream(self, stream: Stream) -> Passage | None:
+        """Return how a packet of a stream passes that is sent now; None for as ever."""
 
-class SensorFault(Fault, frozen=True):
-    """A fault of one sensor. The numbers of a kind have the names of `ERRORS`, with the kind's own unit."""
+    def on_frame(self, frame: OnFrame) -> None:
+        """Act on a frame at its exposure."""
 
-    ERRORS: ClassVar[tuple[str, ...]] = ("offset", "drift", "noise", "limit")
-    UNIT: ClassVar[float] = 1.0
-    """One such unit, in SI units or radians."""
-    AXES: ClassVar[str] = ""
-    """Names of the values of a reading that has several."""
-    frozen: Annotated[bool, choice("whether the reading at the beginning is repeated")] = False
-    delay_s: Annotated[float, number("time by which readings are older than they claim", "s", 0.0, MOST_DELAY_S)] = 0.0
-    dropped_fraction: Annotated[
-        float,
-        number(
-            "fraction of the readings that fail, drawn by the seed: no echo or field, else the one before again", "1", 0.0, 1.0
-        ),
-    ] = 0.0
-    scale: Annotated[float, number("reported value over the true value", "1", -10.0, 10.0)] = 1.0
-
-    @property
-    def axes(self) -> tuple[bool, ...]:
-        """The values of the reading that the fault acts on."""
-        return tuple(getattr(self, "axis", "all") in (name, "all") for name in self.AXES) or (True,)
-
-    @property
-    def errors(self) -> ReadingErrors:
-        """The numbers of this kind in SI units."""
-        numbers = [(name.partition("_")[0], getattr(self, name)) for name in self.__struct_fields__]
-        given = {name: self.UNIT * value for name, value in numbers if name in self.ERRORS and value is not None}
-        offset, drift = (tuple(given[name] if on else 0.0 for on in self.axes) for name in ("offset", "drift"))
-        return ReadingErrors(offset, drift, given["noise"], given.get("limit", math.inf), self.axes)
-
-    def check(self) -> None:
-        """Refuse a fault without an effect; raises ValueError."""
-        e = self.errors
-        values = (self.frozen, self.delay_s, self.dropped_fraction, self.scale - 1.0, *e.offset, *e.drift, e.noise)
-        if not any(values) and math.isinf(e.limit):
-            raise ValueError("nothing says what is wrong with the sensor: give frozen, delay_s, scale or another effect")
-
-
-class Accelerometer(SensorFault, frozen=True, tag="accelerometer"):
-    """The accelerometer; a spike where the fault lasts for milliseconds."""
-
-    AXES = "xyz"
-    axis: Annotated[Axis, choice(_AXIS)] = "all"
-    offset_m_s2: Annotated[float, number(_OFFSET, "m/s^2", -1e6, 1e6)] = 0.0
-    drift_m_s3: Annotated[float, number(_DRIFT, "m/s^3", -1e3, 1e3)] = 0.0
-    noise_m_s2: Annotated[float, number(_NOISE, "m/s^2", 0.0, 1e3)] = 0.0
-    limit_m_s2: Annotated[float, number(_LIMIT, "m/s^2", 0.0, 1e3)] | None = None
-
-
-class Gyro(SensorFault, frozen=True, tag="gyro"):
-    """The gyro."""
-
-    UNIT = math.radians(1.0)
-    AXES = "xyz"
-    axis: Annotated[Axis, choice(_AXIS)] = "all"
-    offset_deg_s: Annotated[float, number(_OFFSET, "deg/s", -1e5, 1e5)] = 0.0
-    drift_deg_s2: Annotated[float, number(_DRIFT, "deg/s^2", -1e3, 1e3)] = 0.0
-    noise_deg_s: Annotated[float, number(_NOISE, "deg/s", 0.0, 1e4)] = 0.0
-    limit_deg_s: Annotated[float, number(_LIMIT, "deg/s", 0.0, 1e4)] | None = None
-
-
-class AttitudeReading(SensorFault, frozen=True, tag="attitude"):
-    """The reported roll and pitch; the vehicle's own loops go on with the right ones."""
-
-    roll_deg: Annotated[float, number("added roll, right side down", "deg", -45.0, 45.0)] = 0.0
-    pitch_deg: Annotated[float, number("added pitch, nose up", "deg", -45.0, 45.0)] = 0.0
-    roll_drift_deg_s: Annotated[float, number("added roll for each second since the fault began", "deg/s", -30.0, 30.0)] = 0.0
-    pitch_drift_deg_s: Annotated[float, number("added pitch for each second since the fault began", "deg/s", -30.0, 30.0)] = 0.0
-    noise_deg: Annotated[float, number(_NOISE, "deg", 0.0, 45.0)] = 0.0
-    limit_deg: Annotated[float, number(_LIMIT, "deg", 0.0, 90.0)] | None = None
-
-    @property
-    def errors(self) -> ReadingErrors:
-        limit = math.inf if self.limit_deg is None else math.radians(self.limit_deg)
-        offset = (math.radians(self.roll_deg), math.radians(self.pitch_deg), 0.0)
-        drift = (math.radians(self.roll_drift_deg_s), math.radians(self.pitch_drift_deg_s), 0.0)
-        return ReadingErrors(offset, drift, math.radians(self.noise_deg), limit, (True, True, False))
-
-
-class HeadingReading(SensorFault, frozen=True, tag="heading"):
-    """The reported heading; the magnetic field turns with an offset or a drift, as beside steel."""
-
-    UNIT = math.radians(1.0)
-    offset_deg: Annotated[float, number("added heading, clockwise", "deg", -180.0, 180.0)] = 0.0
-    drift_deg_s: Annotated[float, number("added heading for each second since the fault began", "deg/s", -90.0, 90.0)] = 0.0
-    noise_deg: Annotated[float, number(_NOISE, "deg", 0.0, 180.0)] = 0.0
-
-    @property
-    def axes(self) -> tuple[bool, ...]:
-        return (False, False, True)
-
-
-class VelocityReading(SensorFault, frozen=True, tag="velocity"):
-    """The velocity that the vehicle reports; its own loops go on with the right one."""
-
-    AXES = "xy"
-    axis: Annotated[Literal["x", "y", "all"], choice("affected axis: x forward, y right")] = "all"
-    offset_m_s: Annotated[float, number(_OFFSET, "m/s", -20.0, 20.0)] = 0.0
-    drift_m_s2: Annotated[float, number(_DRIFT, "m/s^2", -10.0, 10.0)] = 0.0
-    noise_m_s: Annotated[float, number(_NOISE, "m/s", 0.0, 20.0)] = 0.0
-    limit_m_s: Annotated[float, number(_LIMIT, "m/s", 0.0, 20.0)] | None = None
-
-
-class Ultrasound(SensorFault, frozen=True, tag="ultrasound"):
-    """The ultrasound."""
-
-    offset_m: Annotated[float, number(_OFFSET, "m", -6.0, 6.0)] = 0.0
-    drift_m_s: Annotated[float, number(_DRIFT, "m/s", -2.0, 2.0)] = 0.0
-    noise_m: Annotated[float, number(_NOISE, "m", 0.0, 6.0)] = 0.0
-    limit_m: Annotated[float, number(_LIMIT, "m", 0.0, 20.0)] | None = None
-
-
-class Barometer(SensorFault, frozen=True, tag="barometer"):
-    """The barometer; 12 Pa more are one metre less of height."""
-
-    offset_pa: Annotated[float, number(_OFFSET, "Pa", -2000.0, 2000.0)] = 0.0
-    drift_pa_s: Annotated[float, number(_DRIFT, "Pa/s", -200.0, 200.0)] = 0.0
-    noise_pa: Annotated[float, number(_NOISE, "Pa", 0.0, 2000.0)] = 0.0
-
-
-class Magnetometer(SensorFault, frozen=True, tag="magnetometer"):
-    """The magnetometer."""
-
-    UNIT = 1e-6
-    AXES = "xyz"
-    axis: Annotated[Axis, choice(_AXIS)] = "all"
-    offset_ut: Annotated[float, number(_OFFSET, "uT", -200.0, 200.0)] = 0.0
-    drift_ut_s: Annotated[float, number(_DRIFT, "uT/s", -50.0, 50.0)] = 0.0
-    noise_ut: Annotated[float, number(_NOISE, "uT", 0.0, 200.0)] = 0.0
+    def on_sight(self, sight: OnSight) -> None:
+        """Act on what a drawn detection is drawn from."""
 
 
 _F = TypeVar("_F", bound=Fault)
@@ -245,9 +117,8 @@ class FaultTimer:
         self._rngs = [np.random.default_rng([seed, 0xFA17, i]) for i in range(len(faults))]
         self._due_s = [self._rest_s(i, fault) for i, fault in enumerate(faults)]
         """Time at which each recurring fault begins next, or one that is put off begins, s."""
-        self._on: list[tuple[Fault, float]] = []
-        self.active_kinds: frozenset[str] = frozenset()
-        """The kinds of all that is active now."""
+        self.now: list[tuple[Fault, float]] = []
+        """The active faults, each with the seconds since it began."""
         self._begun: list[tuple[Fault, float]] = []
 
     def __bool__(self) -> bool:
@@ -271,28 +142,26 @@ class FaultTimer:
                 self._began[i] = t_s
                 begun.append(fault)
         self._begun += [(fault, t_s) for fault in begun]
-        self._on = [
+        self.now = [
             (fault, t_s - began)
             for fault, began in zip(self._faults, self._began, strict=True)
             if began is not None and _lasts(fault, t_s - began)
         ]
-        self.active_kinds = frozenset(fault.kind for fault, _ in self._on)
         return begun
 
     @property
-    def delays(self) -> bool:
-        """True if any sensor's readings are ever delayed, so that past readings are needed."""
-        return any(isinstance(fault, SensorFault) and fault.delay_s > 0.0 for fault in self._faults)
+    def service_gone(self) -> bool:
+        """True if no service runs."""
+        return any(fault.KILLS_SERVICE for fault, _ in self.now)
 
-    def active(self, kind: str) -> bool:
-        """Return whether a fault of this kind is active now."""
-        return kind in self.active_kinds
+    @property
+    def left_alone(self) -> bool:
+        """True if no service runs, or nothing passes between it and the vehicle."""
+        return any(fault.KILLS_SERVICE or fault.CUTS_LINK for fault, _ in self.now)
 
     def on(self, kind: type[_F]) -> list[tuple[_F, float]]:
         """Return the faults of one kind that are active now, each with the seconds since it began."""
-        if not self._on:
-            return []
-        return [(fault, since_s) for fault, since_s in self._on if isinstance(fault, kind)]
+        return [(fault, since_s) for fault, since_s in self.now if isinstance(fault, kind)]
 
     def listed(self, kind: type[_F]) -> list[_F]:
         """Return all faults of one kind that the scenario lists, whether they are active or not."""
@@ -332,222 +201,3 @@ class FaultTimer:
 def _lasts(fault: Fault, since_s: float) -> bool:
     # A tolerance far below a step keeps "for 0.5 s" from ending a step late by the rounding of a sum.
     return since_s < (math.inf if fault.for_s is None else fault.for_s - 1e-9)
-
-
-class RtkSolution(Fault, frozen=True, tag="rtk_solution"):
-    """The receivers' solution is not what it should be."""
-
-    solution: Annotated[
-        Literal["silent", "float", "wrong"],
-        choice("no solution; estimated ambiguities; or a wrong whole number of wavelengths, claimed as a right one"),
-    ] = "silent"
-
-
-Signal = Literal[
-    "accelerometer", "gyro", "attitude", "heading", "velocity", "range", "barometer", "gnss", "samples", "sample_stamps",
-    "frames", "frame_stamps", "sighting", "ship_velocity", "ship_heading", "ship_place", "commands",
-    "ship_heave", "ship_tilt", "ship_turn", "ship_wind",
-]  # fmt: skip
-SignalError = Literal["frozen", "scaled", "biased", "drifting", "spiking", "late", "doubled", "swapped", "sign"]
-SIGNALS: tuple[Signal, ...] = get_args(Signal)
-ERRORS: tuple[SignalError, ...] = get_args(SignalError)
-UNSIZED = frozenset({"frozen", "doubled", "swapped", "sign"})
-"""Errors that have no size."""
-LATE_MAX_S = 2.0
-_SPIKED = 0.05
-"""Fraction of the samples that a spike hits: some ten a second of an inertial sensor, one or two of a camera."""
-Values = tuple[float, ...]
-
-
-class SignalFacts(NamedTuple):
-    """Properties of a signal."""
-
-    axes: int
-    """Number of its values; the first three are named x, y and z."""
-    unit: str
-    """Unit of a bias, a drift (a second) and a spike in a scenario file."""
-    si: float = 1.0
-    """Value of that unit in SI units and radians."""
-    wraps: bool = False
-    """True if it is an angle of a full circle."""
-
-
-_DEG = math.pi / 180.0
-FACTS: dict[Signal, SignalFacts] = {
-    "accelerometer": SignalFacts(3, "m/s^2"),
-    "gyro": SignalFacts(3, "deg/s", _DEG),
-    "attitude": SignalFacts(2, "deg", _DEG),
-    "heading": SignalFacts(1, "deg", _DEG, wraps=True),
-    "velocity": SignalFacts(2, "m/s"),
-    "range": SignalFacts(1, "m"),
-    "barometer": SignalFacts(1, "Pa"),
-    "gnss": SignalFacts(3, "m"),
-    "samples": SignalFacts(0, "s"),
-    "sample_stamps": SignalFacts(1, "s"),
-    "frames": SignalFacts(0, "s"),
-    "frame_stamps": SignalFacts(1, "s"),
-    "sighting": SignalFacts(3, "m"),
-    "ship_velocity": SignalFacts(3, "m/s"),
-    "ship_heading": SignalFacts(1, "deg", _DEG, wraps=True),
-    "ship_place": SignalFacts(3, "m"),
-    "commands": SignalFacts(3, "full stick"),
-    "ship_heave": SignalFacts(1, "m"),
-    "ship_tilt": SignalFacts(2, "deg", _DEG),
-    "ship_turn": SignalFacts(1, "deg/s", _DEG),
-    "ship_wind": SignalFacts(1, "m/s"),
-}
-
-
-def errors_of(signal: Signal) -> tuple[SignalError, ...]:
-    """Return the errors that a signal can have."""
-    if signal == "samples":
-        return ("late", "doubled")
-    if signal == "frames":
-        return ("frozen", "late", "doubled")
-    if signal in ("sample_stamps", "frame_stamps"):
-        return ("frozen", "biased", "drifting", "spiking", "late", "doubled")
-    if signal in ("gnss", "ship_place"):
-        return ("frozen", "biased", "drifting", "spiking", "late", "doubled")
-    if FACTS[signal].axes == 1:
-        return ("frozen", "scaled", "biased", "drifting", "spiking", "late", "doubled", "sign")
-    return ERRORS
-
-
-class Corrupted(Fault, frozen=True, tag="corrupted"):
-    """A signal says something else than the sensor measured, on some of its axes."""
-
-    signal: Annotated[Signal, choice("which signal; a sighting is the pad's place in camera axes, by perception model")]
-    error: Annotated[
-        SignalError,
-        choice(
-            "frozen at the first sample, times a factor, plus a constant, plus a growing error, hit by spikes; late, each sample "
-            "twice, two axes swapped (the named one keeps its place), or with the opposite sign"
-        ),
-    ]
-    axis: Annotated[Literal["x", "y", "z", "all"], choice("affected axis, in the signal's own axes")] = "all"
-    size: Annotated[
-        float,
-        number("factor of scaled, seconds of late, else the error in the signal's unit, a second for drifting", "1", -1e6, 1e6),
-    ] = 0.0
-
-    def check(self) -> None:
-        """Refuse what the signal cannot have; raises ValueError."""
-        facts, possible = FACTS[self.signal], errors_of(self.signal)
-        if self.error not in possible:
-            raise ValueError(f"{self.signal} cannot be {self.error}; it can be {', '.join(possible)}")
-        if self.axis != "all" and "xyz".index(self.axis) >= facts.axes:
-            raise ValueError(f"{self.signal} has no axis {self.axis}")
-        if self.error in UNSIZED:
-            if self.size != 0.0:
-                raise ValueError(f"size does not go with {self.error}")
-        elif self.size == (1.0 if self.error == "scaled" else 0.0):
-            raise ValueError(f"size says how much {self.error}; found {self.size:g}, which changes nothing")
-        if self.error == "late" and not 0.0 < self.size <= LATE_MAX_S:
-            raise ValueError(f"size is a delay of more than 0 s and at most {LATE_MAX_S:g} s, found {self.size:g}")
-
-    @property
-    def delay_s(self) -> float:
-        """Delay of a packet, s."""
-        return self.size if self.error == "late" else 0.0
-
-    @property
-    def words(self) -> str:
-        """The fault in words."""
-        axis = "" if self.axis == "all" else f" {self.axis}"
-        unit = {"scaled": "times ", "late": ""}.get(self.error)
-        if self.error in UNSIZED:
-            return f"{self.signal}{axis} {self.error}"
-        if unit is not None:
-            return f"{self.signal}{axis} {self.error} {unit}{self.size:g}{' s' if self.error == 'late' else ''}"
-        per_s = "/s" if self.error == "drifting" else ""
-        return f"{self.signal}{axis} {self.error} {self.size:g} {FACTS[self.signal].unit}{per_s}"
-
-
-class Corruptions:
-    """Corrupts the samples of each signal while faults say so. One call for each sample, in order of time.
-
-    Args:
-        faults: which faults are active.
-        seed: of the spikes.
-    """
-
-    def __init__(self, faults: FaultTimer, seed: int) -> None:
-        self._faults, self._seed = faults, seed
-        listed = faults.listed(Corrupted)
-        self.signals = frozenset(fault.signal for fault in listed)
-        """The signals that are ever corrupted."""
-        self._past: dict[Signal, deque[tuple[MonoNs, Values]]] = {f.signal: deque() for f in listed if f.error == "late"}
-        self._held: dict[Signal, dict[int, Values]] = {signal: {} for signal in self.signals}
-        """Value that each frozen fault repeats, and each doubling one repeats next."""
-
-    def active(self, signal: Signal) -> list[tuple[Corrupted, float]]:
-        """Return the faults of a signal that are active now, each with the seconds since it began."""
-        if signal not in self.signals:
-            return []
-        return [(fault, since_s) for fault, since_s in self._faults.on(Corrupted) if fault.signal == signal]
-
-    def of(self, signal: Signal, true: Values, at: MonoNs) -> Values:
-        """Return a sample as the corrupted signal says it; the same tuple where nothing is wrong.
-
-        Args:
-            true: in SI units and radians.
-            at: instant of the sample, which orders them.
-        """
-        if signal not in self.signals:
-            return true
-        if (past := self._past.get(signal)) is not None:
-            past.append((at, true))
-            while past[0][0] < after(at, -LATE_MAX_S - 0.1):
-                past.popleft()
-        active = self.active(signal)
-        if not active:
-            self._held[signal].clear()
-            return true
-        values, facts = true, FACTS[signal]
-        for fault, since_s in active:
-            wrong = self._with(fault, since_s, values, at)
-            values = tuple(w if fault.axis in (name, "all") else v for name, w, v in zip("xyz", wrong, values, strict=False))
-            if fault.error == "swapped":
-                values = wrong
-        return tuple(map(wrap_pi, values)) if facts.wraps else values
-
-    def _with(self, fault: Corrupted, since_s: float, values: Values, at: MonoNs) -> Values:
-        """Return the values with one fault, on all axes."""
-        by, held = fault.size * FACTS[fault.signal].si, self._held[fault.signal]
-        match fault.error:
-            case "frozen":
-                return held.setdefault(id(fault), values)
-            case "doubled":
-                before = held.pop(id(fault), None)
-                if before is None:
-                    held[id(fault)] = values
-                return values if before is None else before
-            case "late":
-                return self._late(fault, at)
-            case "scaled":
-                return tuple(fault.size * v for v in values)
-            case "sign":
-                return tuple(-v for v in values)
-            case "swapped":
-                return _swapped(values, fault.axis)
-            case "biased":
-                return tuple(v + by for v in values)
-            case "drifting":
-                return tuple(v + by * since_s for v in values)
-            case "spiking":
-                rng = np.random.default_rng([self._seed, 0x5B1C, SIGNALS.index(fault.signal), at // 1_000_000])
-                hit, side = rng.random(2)
-                return tuple(v + (by if side < 0.5 else -by) for v in values) if hit < _SPIKED else values
-
-    def _late(self, fault: Corrupted, at: MonoNs) -> Values:
-        past = self._past[fault.signal]
-        asked = after(at, -fault.size)
-        return next((values for when, values in reversed(past) if when <= asked), past[0][1])
-
-
-def _swapped(values: Values, kept: str) -> Values:
-    """Return the values with two axes swapped; of three those beside the kept one, or all in turn where none is named."""
-    if len(values) == 2:
-        return values[1], values[0]
-    x, y, z = values
-    return {"x": (x, z, y), "y": (z, y, x), "z": (y, x, z)}.get(kept, (y, z, x))

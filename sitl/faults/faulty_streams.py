@@ -11,8 +11,9 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import Corrupted, Corruptions, Fault, FaultTimer, Signal
-from sitl.faults.kinds import KIND_OF_STREAM, STREAMS, Stream
+from sitl.faults.acts import STREAMS, Passage, Stream
+from sitl.faults.corrupted import Corruptions
+from sitl.faults.fault import Fault, FaultTimer
 
 _T = TypeVar("_T")
 LAG_S = 0.015
@@ -30,8 +31,8 @@ class Fate(NamedTuple):
 
 
 _ARRIVES = Fate(1)
-_SIGNALS: dict[Stream, Signal] = {"frames": "frames", "navdata": "samples", "commands": "commands"}
-"""The signal whose packets a stream carries."""
+_SURELY = (0.5, 0.5, 0.5)
+"""Numbers in place of those that are drawn, of what happens to every packet or to none."""
 
 
 class FaultyStream:
@@ -44,49 +45,44 @@ class FaultyStream:
     """
 
     def __init__(self, faults: FaultTimer, stream: Stream, seed: int) -> None:
-        self._faults = faults
-        self._kind, self._signal = KIND_OF_STREAM[stream], _SIGNALS[stream]
+        self._faults, self._stream = faults, stream
         self._rng = np.random.default_rng([seed, 0x57EA, STREAMS.index(stream)])
 
     @property
     def clear(self) -> bool:
         """True if every packet passes, at its time and in its order."""
-        return not self._faults.active_kinds
+        return not self._faults.now
 
     @property
     def silent(self) -> bool:
         """True if nothing passes."""
-        return self._faults.active("link_lost") or any(fault.silent for fault, _ in self._faults.on(self._kind))
+        return any(passage.lost >= 1.0 for passage in self._passages())
 
     @property
     def delay_s(self) -> float:
         """Delay of a packet that is sent now, in addition to the usual one, s."""
-        if not self._faults.active_kinds:
-            return 0.0
-        late = [fault.delay_s for fault, _ in self._faults.on(self._kind)]
-        return sum((*late, *(fault.delay_s for fault in self._corrupted())))
+        return sum(passage.delay_s for passage in self._passages())
 
     def fate(self) -> Fate:
         """Return what becomes of the packet that is sent now; every call is another packet."""
-        if not self._faults.active_kinds:
+        passages = self._passages()
+        if not passages:
             return _ARRIVES
-        if self._faults.active("link_lost"):
+        if any(passage.lost >= 1.0 and not passage.by_chance for passage in passages):
             return Fate(0)
         copies, overtaken = 1, False
-        for fault, _ in self._faults.on(self._kind):
-            lost, twice, late = self._rng.random(3)
-            if lost < fault.dropped_fraction:
+        for passage in passages:
+            lost, twice, late = self._rng.random(3) if passage.by_chance else _SURELY
+            if lost < passage.lost:
                 copies = 0
-            elif twice < fault.duplicated_fraction:
+            elif twice < passage.doubled:
                 copies = min(2, 2 * copies)
-            overtaken = overtaken or late < fault.reordered_fraction
-        if any(fault.error == "doubled" for fault in self._corrupted()):
-            copies = min(2, 2 * copies)
+            overtaken = overtaken or late < passage.overtaken
         return Fate(copies, overtaken)
 
-    def _corrupted(self) -> list[Corrupted]:
-        """Return the corruptions of the packets that are active now."""
-        return [fault for fault, _ in self._faults.on(Corrupted) if fault.signal == self._signal]
+    def _passages(self) -> list[Passage]:
+        """Return how the active faults let a packet pass."""
+        return [passage for fault, _ in self._faults.now if (passage := fault.on_stream(self._stream)) is not None]
 
 
 class VehicleStreams:

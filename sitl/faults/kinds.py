@@ -1,21 +1,25 @@
 """The faults of a simulated flight as data: every kind that a scenario file may list under `[[faults]]`."""
 
 import math
-from collections.abc import Iterable
-from typing import Annotated, Literal, get_args
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
 
 from companion.base.orders import StickPositions
+from estimator.contracts.geometry import F64, GeoPoint, moved
 from estimator.contracts.keys import choice, number, text
-from sitl.faults.fault import (
+from sitl.faults.acts import OnFrame, OnSight, OnVehicle, Passage, Stream, Vehicles
+from sitl.faults.corrupted import Corrupted
+from sitl.faults.fault import Fault
+from sitl.faults.readings import (
     Accelerometer,
     AttitudeReading,
     Barometer,
-    Corrupted,
-    Fault,
     Gyro,
     HeadingReading,
     Magnetometer,
-    RtkSolution,
+    NavdataMisstamped,
     Ultrasound,
     VelocityReading,
 )
@@ -23,8 +27,20 @@ from sitl.faults.fault import (
 _FORWARD, _RIGHT = "place along the pad's arrow from its centre", "place to starboard of the pad's arrow"
 
 
+_FEET_M = 0.12
+"""Reach of a vehicle's feet from its body's origin, m."""
+
+
 class PictureFault(Fault, frozen=True):
     """Something that changes the picture."""
+
+    def on_frame(self, frame: OnFrame) -> None:
+        frame.drawn.append(self)
+
+    @property
+    def rendered_only(self) -> bool:
+        """True if only a rendered image shows it: no detection is drawn from what it does."""
+        return type(self).on_sight is Fault.on_sight
 
 
 class PadCovered(PictureFault, frozen=True, tag="pad_covered"):
@@ -32,6 +48,9 @@ class PadCovered(PictureFault, frozen=True, tag="pad_covered"):
 
     fraction: Annotated[float, number("hidden fraction of the pad's diameter, from its edge", "1", 0.05, 1.0)] = 0.5
     from_deg: Annotated[float, number("side from which it is hidden, clockwise from the arrow", "deg", -360.0, 360.0)] = 90.0
+
+    def on_sight(self, sight: OnSight) -> None:
+        sight.shown *= 1.0 - self.fraction
 
 
 class ObjectOnPad(PictureFault, frozen=True, tag="object_on_pad"):
@@ -49,6 +68,12 @@ class ObjectOnPad(PictureFault, frozen=True, tag="object_on_pad"):
         float, number("luminance of a crate or a rope, which then is grey, white is 1; 0 for the usual colour", "1", 0.0, 1.0)
     ] = 0.0
 
+    def touched(self, x_m: float, y_m: float, surface: str) -> str:
+        """Return the words for a contact of a vehicle with it, at a place in `pad`; empty for none."""
+        off_m = math.hypot(x_m - self.forward_m, y_m - self.right_m)
+        touches = self.thing != "wet patch" and off_m < 0.5 * self.size_m + _FEET_M
+        return f"touched a {self.thing} on the {surface}, {off_m:.2f} m from its middle" if touches else ""
+
 
 class Bystander(PictureFault, frozen=True, tag="bystander"):
     """Something stands, walks or flies on or about the pad."""
@@ -61,6 +86,26 @@ class Bystander(PictureFault, frozen=True, tag="bystander"):
     to_forward_m: Annotated[float, number("where it turns, along the arrow", "m", -20.0, 20.0)] = 0.0
     to_right_m: Annotated[float, number("where it turns, to starboard of the arrow", "m", -20.0, 20.0)] = 0.0
     speed_m_s: Annotated[float, number("its speed on the way there and back; 0 stands", "m/s", 0.0, 20.0)] = 0.0
+
+    def place_m(self, t_s: float) -> F64:
+        """Return its place on the deck, (2,) m in `pad`, at a time of the flight."""
+        start = np.array((self.forward_m, self.right_m))
+        if self.speed_m_s <= 0.0:
+            return start
+        way = np.array((self.to_forward_m, self.to_right_m)) - start
+        length = max(1e-6, float(np.hypot(*way)))
+        gone = math.fmod(self.speed_m_s * t_s, 2.0 * length)
+        return np.asarray(start + way / length * min(gone, 2.0 * length - gone))
+
+    def met(self, p_pad: Sequence[float], t_s: float) -> str:
+        """Return the words for a vehicle at (3,) m in `pad` that is in it at a time of the flight; empty for one that is not."""
+        x, y, up = p_pad[0], p_pad[1], -p_pad[2]
+        at = self.place_m(t_s)
+        off_m = math.hypot(x - float(at[0]), y - float(at[1]))
+        stands = self.thing in ("box", "person")
+        high = up < self.height_m + _FEET_M and (stands or up > self.height_m - _FEET_M)
+        inside = high and off_m < 0.5 * self.width_m + _FEET_M
+        return f"flew into a {self.thing}, {off_m:.2f} m from its middle" if inside else ""
 
 
 class OtherPad(PictureFault, frozen=True, tag="other_pad"):
@@ -77,6 +122,10 @@ class OtherPad(PictureFault, frozen=True, tag="other_pad"):
         if not self.instead and self.forward_m == 0.0 and self.right_m == 0.0:
             raise ValueError("forward_m or right_m must say where the other pad is, or instead must be true")
 
+    def on_frame(self, frame: OnFrame) -> None:
+        super().on_frame(frame)
+        frame.pad_hidden |= self.instead
+
 
 class Glint(PictureFault, frozen=True, tag="glint"):
     """The sun is mirrored by wet paint on the pad."""
@@ -91,6 +140,9 @@ class LightFalls(PictureFault, frozen=True, tag="light_falls"):
     """A lamp goes out, or a cloud comes: the light falls to a fraction."""
 
     fraction: Annotated[float, number("remaining fraction of the light", "1", 0.0001, 1.0)] = 0.1
+
+    def on_sight(self, sight: OnSight) -> None:
+        sight.light_stops += math.log2(self.fraction)
 
 
 class WetLens(PictureFault, frozen=True, tag="wet_lens"):
@@ -110,14 +162,8 @@ class FocalLength(PictureFault, frozen=True, tag="focal_length"):
         if self.scale == 1.0:
             raise ValueError("scale is 1: nothing would change")
 
-
-def light_stops(faults: list[tuple[LightFalls, float]]) -> float:
-    """Return the change of the light by these faults, in stops."""
-    return sum(math.log2(fault.fraction) for fault, _ in faults)
-
-
-Stream = Literal["frames", "navdata", "commands"]
-STREAMS: tuple[Stream, ...] = ("frames", "navdata", "commands")
+    def on_sight(self, sight: OnSight) -> None:
+        sight.focal *= self.scale
 
 
 class StreamFault(Fault, frozen=True):
@@ -142,10 +188,9 @@ class StreamFault(Fault, frozen=True):
         if self.dropped_fraction == 1.0 and (self.delay_s or self.duplicated_fraction or self.reordered_fraction):
             raise ValueError("dropped_fraction is 1: no packet is left for another effect; give only dropped_fraction")
 
-    @property
-    def silent(self) -> bool:
-        """True if nothing passes."""
-        return self.dropped_fraction >= 1.0
+    def on_stream(self, stream: Stream) -> Passage | None:
+        passage = Passage(self.delay_s, self.dropped_fraction, self.duplicated_fraction, self.reordered_fraction)
+        return passage if stream == self.kind else None
 
 
 class FrameStream(StreamFault, frozen=True, tag="frames"):
@@ -160,14 +205,14 @@ class CommandStream(StreamFault, frozen=True, tag="commands"):
     """The service's commands on their way to the vehicle."""
 
 
-KIND_OF_STREAM: dict[Stream, type[StreamFault]] = {"frames": FrameStream, "navdata": NavdataStream, "commands": CommandStream}
-
-
 _OVER = "time until it is steady, and again to go back where `for_s` ends it"
 
 
 class ShipFault(Fault, frozen=True):
     """Something that the vessel does on top of her motion in the waves, which stays that of her course before."""
+
+    def on_begin(self, world: Any) -> None:
+        world.manoeuvre(self)
 
 
 class ShipSpeed(ShipFault, frozen=True, tag="ship_speed"):
@@ -232,6 +277,20 @@ class VesselReports(Fault, frozen=True, tag="vessel_reports"):
                 "or silent"
             )
 
+    def on_report(self, v_ned: F64, heading_rad: float, place: GeoPoint) -> tuple[F64, float, GeoPoint]:
+        """Return velocity, (3,) m/s, heading and place as the ship's receiver and compass report them."""
+        there = moved(place, np.array([self.place_north_m, self.place_east_m, 0.0]))
+        return v_ned + np.array([self.north_m_s, self.east_m_s, 0.0]), heading_rad + math.radians(self.heading_deg), there
+
+
+class RtkSolution(Fault, frozen=True, tag="rtk_solution"):
+    """The receivers' solution is not what it should be."""
+
+    solution: Annotated[
+        Literal["silent", "float", "wrong"],
+        choice("no solution; estimated ambiguities; or a wrong whole number of wavelengths, claimed as a right one"),
+    ] = "silent"
+
 
 class OperatorActs(Fault, frozen=True, tag="operator"):
     """A person takes over; after `for_s`, or by order begin, he gives the vehicle back and lets guidance begin again."""
@@ -258,6 +317,9 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
         if self.order in ("begin", "stay", "clear") and self.for_s is not None:
             raise ValueError(f"for_s does not go with {self.order}, after which guidance flies on")
 
+    def carried_by(self, vehicle: Vehicles) -> bool:
+        return vehicle != "ardrone" or self.order not in ("mode", "disarm")
+
     @property
     def sticks(self) -> StickPositions:
         """The sticks, with manual."""
@@ -272,19 +334,30 @@ class OperatorActs(Fault, frozen=True, tag="operator"):
 class Failsafe(Fault, frozen=True, tag="failsafe"):
     """An autopilot's own failsafe acts: it takes a mode, reports that its state is critical, and says why."""
 
+    CARRIED = frozenset({"stand-in"})
+
     takes: Annotated[Literal["land", "hold"], choice("the mode that it takes: it lands here, or holds")] = "land"
 
     def check(self) -> None:
         if self.for_s is not None:
             raise ValueError("for_s does not go with a failsafe: the mode stays until somebody takes another")
 
+    def on_begin(self, world: Any) -> None:
+        world.on_failsafe(self.takes)
+
 
 class LensCovered(Fault, frozen=True, tag="lens_covered"):
     """The camera's frames are black."""
 
+    def on_frame(self, frame: OnFrame) -> None:
+        frame.covered = True
+
 
 class FramesFrozen(Fault, frozen=True, tag="frames_frozen"):
     """Every frame holds the image of the last one before, with a stamp of its own."""
+
+    def on_frame(self, frame: OnFrame) -> None:
+        frame.frozen = True
 
 
 class FramesShifted(Fault, frozen=True, tag="frames_shifted"):
@@ -298,38 +371,38 @@ class FramesShifted(Fault, frozen=True, tag="frames_shifted"):
         if self.forward_m == 0.0 and self.right_m == 0.0:
             raise ValueError("forward_m or right_m must say how far the frames are shifted")
 
+    def on_frame(self, frame: OnFrame) -> None:
+        if self.fraction >= 1.0 or frame.chance() < self.fraction:
+            frame.forward_m += self.forward_m
+            frame.right_m += self.right_m
+
 
 class FramesMisstamped(Fault, frozen=True, tag="frames_misstamped"):
     """Frames carry a wrong stamp: with a negative error they claim to be older than they are."""
 
     by_s: Annotated[float, number("stamp minus the true instant of exposure", "s", -3600.0, 3600.0)]
 
-
-class NavdataMisstamped(Fault, frozen=True, tag="navdata_misstamped"):
-    """Samples carry a wrong stamp: with a negative error they claim to be older than they are."""
-
-    by_s: Annotated[float, number("stamp minus the true instant of the sample", "s", -3600.0, 3600.0)]
+    def on_frame(self, frame: OnFrame) -> None:
+        frame.stamp_s += self.by_s
 
 
 class FlowBlind(Fault, frozen=True, tag="flow_blind"):
     """The vehicle's own optical flow finds nothing: it measures a standstill."""
 
+    CARRIED = frozenset({"ardrone"})
+
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        vehicle.flow_works = False
+
 
 class LowBattery(Fault, frozen=True, tag="low_battery"):
     """The battery's charge falls at once to a fraction, and from there on as before."""
 
+    CARRIED = frozenset({"ardrone", "stand-in"})
     fraction: Annotated[float, number("remaining fraction of a full battery", "1", 0.0, 1.0)] = 0.1
 
-
-def charge_left(charge: float, low: Iterable[tuple[LowBattery, float]], life_s: float) -> float:
-    """Return the charge of a battery, 0 to 1, less what faults have taken.
-
-    Args:
-        charge: what is left without them.
-        low: the faults that are active, each with the seconds since it began.
-        life_s: time in which a full battery is used up.
-    """
-    return max(0.0, min(charge, *(fault.fraction - since_s / life_s for fault, since_s in low), 1.0))
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        vehicle.charge_max = min(vehicle.charge_max, self.fraction - since_s / vehicle.battery_life_s)
 
 
 class Gust(Fault, frozen=True, tag="gust"):
@@ -342,29 +415,51 @@ class Gust(Fault, frozen=True, tag="gust"):
         if self.for_s is None:
             raise ValueError("for_s must say how long the gust takes to pass")
 
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        """Blow. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, over time."""
+        share = 0.5 * (1.0 - math.cos(math.tau * since_s / (self.for_s or math.inf)))
+        speed_m_s, a = share * self.speed_m_s, math.radians(self.from_deg)
+        north, east, down = vehicle.wind_ned
+        vehicle.wind_ned = (north - speed_m_s * math.cos(a), east - speed_m_s * math.sin(a), down)
+
 
 class WeakRotor(Fault, frozen=True, tag="weak_rotor"):
     """A rotor gives a fraction of its thrust."""
 
+    CARRIED = frozenset({"ardrone", "stand-in", "program"})
     rotor: Annotated[
         Literal["front_left", "front_right", "right", "rear_right", "rear_left", "left"],
         choice("which rotor; right and left are a hexacopter's"),
     ] = "front_left"
     thrust_fraction: Annotated[float, number("fraction of its thrust that it still gives", "1", 0.0, 1.0)] = 0.8
 
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        vehicle.thrust[self.rotor] *= self.thrust_fraction
+
 
 class TiltLimited(Fault, frozen=True, tag="tilt_limited"):
     """The vehicle tilts no further than this, whatever its commands or settings are."""
 
+    CARRIED = frozenset({"ardrone", "stand-in"})
     to_deg: Annotated[float, number("largest roll or pitch", "deg", 0.5, 45.0)] = 3.0
+
+    def on_vehicle(self, vehicle: OnVehicle, since_s: float) -> None:
+        vehicle.tilt_max_rad = min(vehicle.tilt_max_rad, math.radians(self.to_deg))
 
 
 class LinkLost(Fault, frozen=True, tag="link_lost"):
     """Lost link between the vehicle and the service: no samples, no frames, no commands."""
 
+    CUTS_LINK = True
+
+    def on_stream(self, stream: Stream) -> Passage | None:
+        return Passage(lost=1.0, by_chance=False)
+
 
 class ServiceKilled(Fault, frozen=True, tag="service_killed"):
     """The service's process is gone; after `for_s` a new one runs with what the file of its flight kept. In virtual time only."""
+
+    KILLS_SERVICE = True
 
 
 AnyFault = (

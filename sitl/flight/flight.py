@@ -37,12 +37,12 @@ from sitl.ardrone.drone import TICK_S, Drone, DroneClock
 from sitl.ardrone.state import GENERATIONS, refusal
 from sitl.ardrone.uvlc import ArrivingFrames, synced
 from sitl.camera.render_worker import RenderWorker
+from sitl.faults.carried import refuse_others
 from sitl.faults.faulty_streams import InTransit
-from sitl.faults.kinds import Failsafe, OperatorActs, ServiceKilled
+from sitl.faults.kinds import ServiceKilled
 from sitl.flight.afterwards import Afterwards
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
-from sitl.flight.hands import BY_REMOTE
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.service import VISION_S, SimulatedService
 from sitl.flight.vessel_reports import VesselReporter
@@ -107,10 +107,7 @@ class Flight:
         """Makes the frames, where one is set before the first step; else they are made in place. The same bits either way."""
         if renew is None and any(isinstance(f, ServiceKilled) and f.for_s is not None for f in scenario.faults):
             raise BadInput("service_killed comes back after for_s, and this flight cannot make the service again")
-        if any(isinstance(f, OperatorActs) and f.order in BY_REMOTE for f in scenario.faults):
-            raise BadInput("operator: an AR.Drone has no remote control; order mode and disarm go with --autopilot")
-        if any(isinstance(f, Failsafe) for f in scenario.faults):
-            raise BadInput("failsafe: an AR.Drone takes no mode; it goes with --autopilot and the stand-in")
+        refuse_others(scenario.title, scenario.faults, "ardrone")
         self._renew = renew or (lambda: pilot)
         self.contained = False
         """True if a bug of the service ends the flight and is part of the result, instead of being raised."""
@@ -245,7 +242,7 @@ class Flight:
 
     def _killed(self) -> bool:
         """Return whether the service's process is gone; after a restart it is a new process."""
-        if self.world.faults.active("service_killed"):
+        if self.world.faults.service_gone:
             self._service.catch_up()
             if not self._gone:
                 # What the sender sends from here on is no answer of the service to an order.

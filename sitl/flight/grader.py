@@ -15,7 +15,6 @@ from companion.settings.model import Settings
 from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.camera.picture_effects import Solid
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.flight.ending import AtEnd, Ending, FlightGrade, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.hands import Decides, of_at
@@ -34,8 +33,6 @@ RECEIVERS_M = 10.0
 """Error of a place over the ship by two receivers of 2.5 m each, three standard deviations: the way to her is flown by it."""
 UNREACHED_STOP_M = 0.3
 """Way down that an AR.Drone needs to stop when nothing reaches it and it begins to hover by itself."""
-_FEET_M = 0.12
-"""Reach of a vehicle's feet from its body's origin, m."""
 _BLAMES = frozenset(
     {
         IntegrityAlert.CAMERA_FROZEN,
@@ -119,8 +116,8 @@ class FlightGrader:
         self._reason = ""
         self._go_arounds = 0
         self._named: dict[str, float] = {}
-        self._met: set[str] = set()
-        """Kinds of things that the vehicle flew into."""
+        self._met = False
+        """True once the vehicle flew into something."""
         self._contacts = 0
 
     def step(self) -> None:
@@ -132,22 +129,18 @@ class FlightGrader:
 
     def _meet(self, truth: Truth) -> None:
         """Note the new contacts where something lies, and the drone's first way into something that stands or flies there."""
-        if not self._met and (bodies := self.world.faults.on(Bystander)):
-            x, y, z = (truth.R_ned_pad.matrix.T @ (truth.p_body_ned - truth.p_pad_ned)).tolist()
-            for fault, _ in bodies:
-                at = Solid.of(fault).place_m(seconds_between(self.world.started, truth.at))
-                off_m = math.hypot(x - float(at[0]), y - float(at[1]))
-                over = -z < fault.height_m + _FEET_M and (fault.thing in ("box", "person") or -z > fault.height_m - _FEET_M)
-                if over and off_m < 0.5 * fault.width_m + _FEET_M:
-                    self._met.add(fault.thing)
-                    self.referee.hit(f"flew into a {fault.thing}, {off_m:.2f} m from its middle")
+        x, y, z = (truth.R_ned_pad.matrix.T @ (truth.p_body_ned - truth.p_pad_ned)).tolist()
+        for fault, _ in self.world.faults.on(Bystander):
+            words = "" if self._met else fault.met((x, y, z), seconds_between(self.world.started, truth.at))
+            if words:
+                self._met = True
+                self.referee.hit(words)
         new, self._contacts = truth.contacts[self._contacts :], len(truth.contacts)
         for contact in new:
             x, y, _ = contact.p_body_pad.tolist()
             for thing, _ in self.world.faults.on(ObjectOnPad):
-                off_m = math.hypot(x - thing.forward_m, y - thing.right_m)
-                if thing.thing != "wet patch" and off_m < 0.5 * thing.size_m + _FEET_M:
-                    self.referee.hit(f"touched a {thing.thing} on the {contact.surface}, {off_m:.2f} m from its middle")
+                if words := thing.touched(x, y, contact.surface):
+                    self.referee.hit(words)
 
     def on_sent(self, commands: Sequence[AtCommand], now: MonoNs) -> None:
         """Note a datagram that was sent to an AR.Drone."""
@@ -191,7 +184,7 @@ class FlightGrader:
             unsafe,
             scenario.expect,
             AtEnd(
-                left_alone=world.faults.active("service_killed") or world.faults.active("link_lost"),
+                left_alone=world.faults.left_alone,
                 asks=world.guidance_phase in _ASKS,
                 held=outcome is FlightOutcome.ABORTED or situation in (ControlSituation.HELD, ControlSituation.MANUAL),
                 theirs=referee.hands.act or "",

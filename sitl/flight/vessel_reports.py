@@ -8,11 +8,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from drivers.ship_reports import FLOOR_M
-from estimator.contracts.geometry import moved, wrap_pi
+from estimator.contracts.geometry import wrap_pi
 from estimator.contracts.samples import Baseline, GeoFix, OfVessel, VesselReport
 from estimator.contracts.time import MonoNs, Stamp, after
-from sitl.faults.fault import RtkSolution
-from sitl.faults.kinds import VesselReports
+from sitl.faults.kinds import RtkSolution, VesselReports
 from sitl.flight.ship_sensors import Anemometer, MotionSensor, ShipAt, TurnSensor
 from sitl.sensors.rtk import RtkErrors
 from sitl.sensors.sensors import SIGMA_M, GnssErrors
@@ -172,9 +171,7 @@ class VesselReporter:
         else:
             self._frozen = None
         for fault in faults:
-            velocity = velocity + np.array([fault.north_m_s, fault.east_m_s, 0.0])
-            heading += math.radians(fault.heading_deg)
-            place = moved(place, np.array([fault.place_north_m, fault.place_east_m, 0.0]))
+            velocity, heading, place = fault.on_report(velocity, heading, place)
         stamp = Stamp(self._world.at, now, 0.05, "sim")
         cov = _SIGMA_M_S**2 * np.eye(3)
         made: Reports = (VesselReport(stamp, velocity, cov, wrap_pi(heading), _SIGMA_HEADING_RAD),)

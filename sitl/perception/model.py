@@ -37,8 +37,9 @@ from estimator.vision.pad.pad import Pad
 from estimator.vision.register.sighting import sighting_of
 from sitl.camera.camera import Exposure
 from sitl.camera.render_worker import RenderWorker
+from sitl.faults.acts import OnSight
 from sitl.faults.fault import Fault
-from sitl.faults.kinds import FocalLength, LightFalls, PadCovered, PictureFault, light_stops
+from sitl.faults.kinds import PictureFault
 from sitl.perception.parameters import DetectionCell, DetectionModel, Factor, PerceptionModel, load
 from sitl.perception.port import Level, Perception
 from sitl.world.truth import RenderedFrame
@@ -242,8 +243,6 @@ KEPT_SCENES = 512
 """Number of exposures that may be under way: ten seconds of delay at 50 frames a second."""
 _SPAWN_KEY = 1301
 """Keeps the random numbers of detections apart from those of the world, which has the first children of the seed."""
-MODELLED = (PadCovered, LightFalls, FocalLength)
-"""Image faults that act without a rendered image: on the visible part of the pad, on its light, on its distance."""
 _EYE = np.eye(3)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 _TOKEN = 4
@@ -286,15 +285,14 @@ class Scenes:
             R = shot.R_ned_body.matrix
             view = self._viewer.view(R, shot.p_pad_ned - shot.p_body_ned, shot.R_ned_pad.matrix)
         token = tick.to_bytes(_TOKEN, "little")
-        faults, stops = self._world.faults, self._world.scenario.light.exposure_ev
-        focal = self._world.scenario.wrong_model.focal_length
-        if faults.active_kinds:
-            if view is not None:
-                for covered, _ in faults.on(PadCovered):
-                    view = view._replace(shown=view.shown * (1.0 - covered.fraction))
-            focal *= math.prod(fault.scale for fault, _ in faults.on(FocalLength))
-            stops += light_stops(faults.on(LightFalls))
-        self._scenes[token] = Scene(view, chance, R, stops, focal)
+        scenario = self._world.scenario
+        shown = 0.0 if view is None else view.shown
+        acts = OnSight(shown, scenario.wrong_model.focal_length, scenario.light.exposure_ev)
+        for fault, _ in self._world.faults.now:
+            fault.on_sight(acts)
+        if view is not None and acts.shown != shown:
+            view = view._replace(shown=acts.shown)
+        self._scenes[token] = Scene(view, chance, R, acts.light_stops, acts.focal)
         if len(self._scenes) > KEPT_SCENES:
             self._scenes.popitem(last=False)
         return np.ndarray(self._shape, np.uint8, token + self._rest_of_row, strides=(0, 1, 0))
@@ -332,7 +330,7 @@ class Model(Perception):
     def refuse(self, faults: Sequence[Fault]) -> None:
         """Refuse a fault that only a rendered frame shows; every other one acts as on rendered frames."""
         for fault in faults:
-            if isinstance(fault, PictureFault) and not isinstance(fault, MODELLED):
+            if isinstance(fault, PictureFault) and fault.rendered_only:
                 raise BadInput(f"the fault {fault.kind} is seen in rendered frames only; use --perception pixels")
 
     def begin(self, world: World) -> None:

@@ -8,7 +8,8 @@ from companion.settings.model import Settings
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import RenderWorker
-from sitl.faults.fault import Corrupted, Fault
+from sitl.faults.corrupted import Corrupted
+from sitl.faults.fault import Fault
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
 

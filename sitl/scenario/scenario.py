@@ -27,8 +27,9 @@ from estimator.contracts.motion import G_M_S2
 from estimator.vision.camera.camera import Camera
 from estimator.vision.pad.pad import Pad
 from sitl.camera.settings import DropSettings, GimbalSettings, LampSettings, LightSettings, VideoSettings
-from sitl.faults.fault import SIGNALS, Corrupted, Fault, RtkSolution, Signal
-from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, ShipSpeed, ShipTurn, VesselReports, WeakRotor
+from sitl.faults.corrupted import SIGNALS, Corrupted, Signal
+from sitl.faults.fault import Fault
+from sitl.faults.kinds import AnyFault, OperatorActs, OtherPad, RtkSolution, ShipSpeed, ShipTurn, VesselReports, WeakRotor
 from sitl.sea.sea import EXCLUDES as SEA_EXCLUDES
 from sitl.sea.sea import SEA_STATES, Sea, SeaState, WaveSystem
 from sitl.sensors.rtk import RtkSettings

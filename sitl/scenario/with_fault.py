@@ -14,7 +14,6 @@ import numpy as np
 
 from companion.settings.load import SHIPPED, shipped
 from estimator.contracts.errors import BadInput
-from sitl.faults.carried import CARRIED, OF_THE_STAND_IN, carries
 from sitl.faults.drawn import Drawable, draw
 from sitl.faults.kinds import AnyFault, OperatorActs, ServiceKilled, VesselReports
 from sitl.scenario.scenario import FAULTS, TITLE_MAX, Scenario, load, shipped_scenarios, signals_of, vehicle_model
@@ -97,11 +96,7 @@ def with_random_faults(scenario: Scenario, seed: int, level: str, *, autopilot: 
     names = [rotor.name for rotor in rotors(frame)]
     file = Path(scenario.pad.file)
     pad = file.stem if file.parent == SHIPPED / "pads" else str(file)
-    there = Drawable(signals, heights_m, names, pad, level == "pixels")
-    if autopilot:
-        kinds = frozenset({*CARRIED, *OF_THE_STAND_IN, "level", "landing", "late_order"})
-        kinds |= {"pad_size"} if level == "model" else set()
-        there = there._replace(kinds=kinds, errors=carries, autopilot=True)
+    there = Drawable(signals, heights_m, names, pad, level == "pixels", autopilot)
     return with_faults(scenario, draw(seed, there))
 
 

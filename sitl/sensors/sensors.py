@@ -8,35 +8,18 @@ Faults act on finished readings: the same readings, faults and seed give the sam
 """
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from msgspec import Struct, structs
 
-from estimator.contracts.geometry import F64, GeoPoint, moved, wrap_pi
+from estimator.contracts.geometry import F64, GeoPoint, moved
 from estimator.contracts.motion import G_M_S2
-from estimator.contracts.time import MonoNs, after, seconds_between
+from estimator.contracts.time import MonoNs, seconds_between
 from sitl.core.abi import DL_ECHOES_MAX, DL_SENSOR_NOISE
 from sitl.core.library import SIM
-from sitl.faults.fault import (
-    MOST_DELAY_S,
-    Accelerometer,
-    AttitudeReading,
-    Barometer,
-    Corruptions,
-    Fault,
-    FaultTimer,
-    Gyro,
-    HeadingReading,
-    Magnetometer,
-    SensorFault,
-    Signal,
-    Ultrasound,
-    VelocityReading,
-)
-from sitl.faults.kinds import LowBattery, NavdataMisstamped, charge_left
+from sitl.faults.readings import FaultyReadings, SensorFault
 from sitl.sensors.settings import SensorSettings
 from sitl.vehicle.airframe import rotors
 from sitl.vehicle.disturbances import BLOCK, NoiseRows, keep_and_fresh
@@ -188,55 +171,20 @@ class _NoiseBlocks:
         return rows
 
 
-Field = Literal["f_body", "w_body", "rpy_rad", "v_level_m_s", "ultrasound_m", "pressure_pa", "magnetometer"]
-_FIELDS: dict[type[SensorFault], Field] = {
-    Accelerometer: "f_body",
-    Gyro: "w_body",
-    AttitudeReading: "rpy_rad",
-    HeadingReading: "rpy_rad",
-    VelocityReading: "v_level_m_s",
-    Ultrasound: "ultrasound_m",
-    Barometer: "pressure_pa",
-    Magnetometer: "magnetometer",
-}
-_SIGNALS: dict[Signal, tuple[Field, slice]] = {
-    "accelerometer": ("f_body", slice(3)),
-    "gyro": ("w_body", slice(3)),
-    "attitude": ("rpy_rad", slice(2)),
-    "heading": ("rpy_rad", slice(2, 3)),
-    "velocity": ("v_level_m_s", slice(2)),
-    "range": ("ultrasound_m", slice(1)),
-    "barometer": ("pressure_pa", slice(1)),
-}
-"""The signals of the readings: the field of each, and its part of it."""
-_MAY_FAIL = (Ultrasound, Magnetometer)
-"""Sensors that say nothing where a reading is dropped; the others repeat the one before."""
-
-
 class FaultySensors:
-    """Turns true readings into those of faulty sensors.
+    """Turns the readings of the true sensors into those of faulty ones.
 
     Args:
-        faults: which faults are active.
-        seed: seed of dropped readings and of noise.
-        corruptions: what the signals say instead of what was measured.
-        battery_life_s: time in which a full battery is used up.
+        readings: what faults make of each reading.
     """
 
-    def __init__(self, faults: FaultTimer, seed: int, corruptions: Corruptions, battery_life_s: float) -> None:
-        self._faults, self._corruptions, self._battery_life_s = faults, corruptions, battery_life_s
-        self._seed = seed
-        self._begun: dict[int, Readings] = {}
-        """The true readings at the beginning of each frozen sensor's fault."""
-        self._reported: dict[int, F64 | None] = {}
-        """The newest value that each sensor with dropped readings has reported."""
-        self._past: deque[Readings] = deque()
+    def __init__(self, readings: FaultyReadings) -> None:
+        self._readings = readings
         self._newest: tuple[Readings, Readings] | None = None
 
-    def begin(self, fault: Fault, true: Readings) -> None:
-        """Take note of a fault that begins now, with the true readings of this instant."""
-        if isinstance(fault, SensorFault) and fault.frozen:
-            self._begun[id(fault)] = true
+    def hold(self, fault: SensorFault, true: Readings) -> None:
+        """Keep what the sensors read as a fault begins that repeats it."""
+        self._readings.held[id(fault)] = _array(getattr(true, fault.READING))
 
     def distorted(self, true: Readings) -> Readings:
         """Return the readings as the faulty sensors give them.
@@ -245,91 +193,21 @@ class FaultySensors:
             true: the readings without any fault; readings of a later instant each time, or the same ones again.
         """
         if self._newest is None or self._newest[0].at != true.at:
-            if self._faults.delays:
-                self._past.append(true)
-                while self._past[0].at < after(true.at, -MOST_DELAY_S - 0.1):
-                    self._past.popleft()
             self._newest = true, self._now(true)
         return self._newest[1]
 
     def _now(self, true: Readings) -> Readings:
-        r = true
-        for number, (fault, since_s) in enumerate(self._faults.on(SensorFault)):
-            r = self._with(fault, since_s, number, true, r)
-        if self._corruptions.signals:
-            r = self._corrupted(true, r)
-        if low := self._faults.on(LowBattery):
-            r = structs.replace(r, battery_fraction=charge_left(r.battery_fraction, low, self._battery_life_s))
-        for stamp, _ in self._faults.on(NavdataMisstamped):
-            r = structs.replace(r, at=after(r.at, stamp.by_s))
-        return r
-
-    def _corrupted(self, true: Readings, r: Readings) -> Readings:
-        """Return the readings with what the corrupted signals say."""
-        for signal, (field, part) in _SIGNALS.items():
-            value = _array(getattr(r, field))
-            if value is None or signal not in self._corruptions.signals:
-                continue
-            before = tuple(value[part].tolist())
-            after_it = self._corruptions.of(signal, before, true.at)
-            if after_it is not before:
-                value[part] = after_it
-                r = _put(r, field, value)
-        (stamp_s,) = self._corruptions.of("sample_stamps", ((at_s := true.at * 1e-9),), true.at)
-        return r if stamp_s == at_s else structs.replace(r, at=after(r.at, stamp_s - at_s))
-
-    def _with(self, fault: SensorFault, since_s: float, number: int, true: Readings, r: Readings) -> Readings:
-        """Return the readings with one fault more."""
-        field, errors = _FIELDS[type(fault)], fault.errors
-        value = _array(getattr(r, field))
-        mine = np.array(errors.axes)
-        if fault.delay_s > 0.0 or fault.frozen:
-            source = self._begun[id(fault)] if fault.frozen else self._at(after(true.at, -fault.delay_s), true)
-            other = _array(getattr(source, field))
-            value = None if value is None or other is None else np.where(mine, other, value)
-        rng = np.random.default_rng([self._seed, true.at // 1_000_000, number])
-        if fault.dropped_fraction > 0.0 and rng.random() < fault.dropped_fraction:
-            value = None if isinstance(fault, _MAY_FAIL) else self._reported.get(id(fault), value)
-        elif fault.dropped_fraction > 0.0:
-            self._reported[id(fault)] = value
-        if value is not None:
-            added = np.array(errors.offset) + since_s * np.array(errors.drift)
-            if errors.noise > 0.0:
-                added = added + mine * errors.noise * rng.standard_normal(len(value))
-            value = np.where(mine, fault.scale * value, value) + added
-            value = np.where(mine, np.clip(value, -errors.limit, errors.limit), value)
-        if isinstance(fault, HeadingReading) and value is not None:
-            by_rad = errors.offset[2] + since_s * errors.drift[2]
-            value[2] = wrap_pi(float(value[2]))
-            r = structs.replace(r, magnetometer=_turned(r.magnetometer, by_rad))
-        return _put(r, field, value)
-
-    def _at(self, at: MonoNs, true: Readings) -> Readings:
-        """Return the readings that were the newest at an instant; the oldest known if none is as old."""
-        older = [one for one in self._past if one.at <= at]
-        return older[-1] if older else (self._past[0] if self._past else true)
+        changed: dict[str, Any] = {}
+        for name in self._readings.names:
+            value = _array(getattr(true, name))
+            if (wrong := self._readings.of(name, value, true.at)) is not value:
+                numbers = None if wrong is None else wrong.tolist()
+                changed[name] = numbers[0] if numbers is not None and len(numbers) == 1 else numbers and tuple(numbers)
+        return structs.replace(true, at=self._readings.stamp(true.at), **changed)
 
 
 def _array(value: Sequence[float] | float | None) -> F64 | None:
     return None if value is None else np.atleast_1d(np.asarray(value, float)).copy()
-
-
-def _put(r: Readings, field: Field, value: F64 | None) -> Readings:
-    """Return the readings with another value; a sensor that can fail may have None, the others then keep theirs."""
-    if value is None:
-        return structs.replace(r, **{field: None}) if field in ("ultrasound_m", "magnetometer") else r
-    numbers = value.tolist()
-    if field == "ultrasound_m":
-        numbers = [max(0.0, numbers[0])]
-    return structs.replace(r, **{field: tuple(numbers) if len(numbers) > 1 else numbers[0]})
-
-
-def _turned(field: tuple[float, float, float] | None, by_rad: float) -> tuple[float, float, float] | None:
-    """Return the magnetic field as a compass beside steel reads it."""
-    if field is None or by_rad == 0.0:
-        return field
-    c, s = math.cos(by_rad), math.sin(by_rad)
-    return c * field[0] + s * field[1], c * field[1] - s * field[0], field[2]
 
 
 ORIGIN_DEG = (63.44, 10.40)

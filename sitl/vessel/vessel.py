@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from estimator.contracts.geometry import F64, Rotation
 from sitl.core.library import SIM
-from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipFault, ShipSpeed, ShipTurn
 from sitl.sea.sea import Waves
 from sitl.vessel.file import RecordedMotion
@@ -396,13 +395,8 @@ class Manoeuvre:
         self._newest: tuple[F64, F64] = (np.array([seconds]), np.zeros((1, 2)))
         """The times of the newest call, and how far from her course before the vessel was at them."""
 
-    def begin(self, fault: Fault, at_s: float) -> bool:
-        """Take note of a fault that begins at an instant; return whether it is one of the vessel.
-
-        Earlier results of `pad` for later times become invalid.
-        """
-        if not isinstance(fault, ShipFault):
-            return False
+    def begin(self, fault: ShipFault, at_s: float) -> None:
+        """Take note of a fault that begins at an instant. Earlier results of `pad` for later times become invalid."""
         if self._begun:
             times, d_ne = self._newest
             i = max(0, int(np.searchsorted(times, at_s + 1e-9)) - 1)
@@ -410,7 +404,6 @@ class Manoeuvre:
         else:
             self._at_s, self._newest = at_s, (np.array([at_s]), np.zeros((1, 2)))
         self._begun.append((fault, at_s))
-        return True
 
     def __bool__(self) -> bool:
         """Return whether there is anything to add."""

@@ -1,12 +1,11 @@
 """Drives of a simulated vehicle: sticks for its own loops, as of an AR.Drone, or the motors that an autopilot commands."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 from msgspec import Struct
 
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.faults.fault import Corruptions
+from sitl.faults.corrupted import Corruptions
 from sitl.scenario.scenario import Scenario, refuse_gimbal
 from sitl.vehicle.airframe import Airframe
 from sitl.vehicle.vehicle import MOTORS_TURN, Vehicle, VehiclePhase
@@ -18,25 +17,6 @@ quad X."""
 STILL: Motors = (0.0, 0.0, 0.0, 0.0)
 _SPINS = 0.01
 """Least command that turns a motor."""
-
-
-class Drive(Protocol):
-    """The side that commands the vehicle of a world."""
-
-    step_ns: int
-    """Step of the physics, ns."""
-
-    def fits(self, scenario: Scenario) -> None:
-        """Refuse a scenario that it cannot fly; raises BadInput."""
-        ...
-
-    def arrive(self, vehicle: Vehicle, at: MonoNs) -> None:
-        """Give the vehicle the newest command again, as it arrives at an instant."""
-        ...
-
-    def stop(self, vehicle: Vehicle) -> None:
-        """Stop the motors, whose battery is empty."""
-        ...
 
 
 class Stick(Struct, frozen=True):
@@ -133,3 +113,8 @@ class MotorDrive:
 
     def stop(self, vehicle: Vehicle) -> None:
         self._empty = True
+
+
+Drive = StickDrive | MotorDrive
+"""Commands a vehicle: `fits` refuses a scenario that it cannot fly, `arrive` gives the vehicle the newest command as it arrives,
+`stop` stops the motors of an empty battery."""

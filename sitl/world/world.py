@@ -26,20 +26,10 @@ from sitl.camera.picture_effects import PictureEffects
 from sitl.camera.render_worker import RenderWorker
 from sitl.core.abi import DL_EFFECT_NOISE, DL_FLIGHT_NOISE, DL_SENSOR_NOISE
 from sitl.core.library import SIM
+from sitl.faults.acts import OnFrame, OnVehicle
 from sitl.faults.faulty_streams import FlightFaults
-from sitl.faults.kinds import (
-    Failsafe,
-    FramesMisstamped,
-    FramesShifted,
-    Gust,
-    LightFalls,
-    LowBattery,
-    OtherPad,
-    PictureFault,
-    TiltLimited,
-    WeakRotor,
-    charge_left,
-)
+from sitl.faults.kinds import LightFalls, PictureFault, ShipFault
+from sitl.faults.readings import FaultyReadings, SensorFault
 from sitl.scenario.scenario import Scenario, pad_model, sea_of
 from sitl.sea.sea import Waves
 from sitl.sensors.sensors import FaultySensors, Readings, Sensors
@@ -62,7 +52,6 @@ from sitl.world.stage import (
     sea_and_vessel,
     true_camera,
     wind,
-    wind_from,
 )
 from sitl.world.truth import RenderedFrame, Touchdown, Truth, touchdown_of
 
@@ -210,7 +199,9 @@ class World:
         self.guidance_phase: str | None = None
         """Phase of guidance if the flight's runner sets it, for faults that begin in a phase."""
         self._began_s, self._has_faults = 0.0, False
-        self._faulty = FaultySensors(self.faults, seed, self.corruptions, scenario.sensors.battery_life_s)
+        self._faulty = FaultySensors(FaultyReadings(self.faults, seed, self.corruptions))
+        self._strain = OnVehicle({}, scenario.sensors.battery_life_s)
+        """Effect of the faults on the vehicle now."""
         self._manoeuvre = Manoeuvre(self.vessel, scenario.vessel.speed_m_s, 0.0)
         self._contacts: list[Touchdown] = []
         self._touched_s = math.nan
@@ -287,13 +278,12 @@ class World:
     @property
     def battery(self) -> float:
         """Charge of the battery, 0 to 1; nothing turns the motors at 0."""
-        life_s = self.scenario.sensors.battery_life_s
-        return charge_left(float(self._sensors.state.battery), self.faults.on(LowBattery), life_s)
+        return max(0.0, min(float(self._sensors.state.battery), self._strain.charge_max))
 
     def readings(self) -> Readings:
         """Return the sensors' readings of the newest step."""
         true = self._sensors.read(self.at)
-        return self._faulty.distorted(true) if self._has_faults else true
+        return structs.replace(self._faulty.distorted(true), battery_fraction=self.battery) if self._has_faults else true
 
     def render(self) -> RenderedFrame:
         """Return the bottom camera's frame; the newest step is the middle of its exposure."""
@@ -330,46 +320,48 @@ class World:
         gain = 0.0
         if taken.setting is not None:
             exposure_s, gain = taken.setting.exposure_s, taken.setting.gain
-        error_s = self.scenario.wrong_model.video_delay_s + sum(fault.by_s for fault, _ in self.faults.on(FramesMisstamped))
+        acts = OnFrame(np.random.default_rng([self._camera_seed, self._tick, 2]).random)
+        for fault, _ in self.faults.now:
+            fault.on_frame(acts)
+        error_s = self.scenario.wrong_model.video_delay_s + acts.stamp_s
         if "frame_stamps" in self.corruptions.signals:
             error_s += self.corruptions.of("frame_stamps", (self.t_s,), at)[0] - self.t_s
-        freezes = any(fault.error == "frozen" for fault, _ in self.corruptions.active("frames"))
-        frozen = (freezes or self.faults.active("frames_frozen")) and self._newest_image is not None
-        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera, taken)
+        frozen = acts.frozen and self._newest_image is not None
+        image, true_view = (self._newest_image, False) if frozen else self._image(worker, camera, taken, acts)
         assert image is not None
         self._newest_image = image
         return lambda: RenderedFrame(image(), at, exposure_s, error_s, true_view, gain)
 
     def _image(
-        self, worker: RenderWorker | None, camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None, taken: Taken
+        self,
+        worker: RenderWorker | None,
+        camera: Callable[[Exposure | None, int], NDArray[np.uint8]] | None,
+        taken: Taken,
+        acts: OnFrame,
     ) -> tuple[Callable[[], NDArray[np.uint8]], bool]:
         """Return the function that makes the image of the present scene, and whether that is the camera's true view."""
-        covered = self.faults.active("lens_covered")
-        if covered and camera is not None:
+        if acts.covered and camera is not None:
             black = camera(None, self._tick)
             return lambda: black, False
-        if covered:
+        if acts.covered:
             rng = np.random.default_rng([self._camera_seed, self._tick])
             dark = rng.integers(0, 8, (self.camera.height, self.camera.width, 3), dtype=np.uint8)
             return lambda: dark, False
-        aside = self._aside()
-        shot = self._scene(aside)
+        shot, in_place = self._scene(acts), not (acts.forward_m or acts.right_m)
         if camera is not None:
             seen = camera(shot, self._tick)
-            return lambda: seen, aside is None
-        made, wrong = self._developed(shot, worker, taken)
+            return lambda: seen, in_place
+        made, wrong = self._developed(shot, worker, taken, acts.drawn)
         if not wrong:
-            return cache(made), aside is None
+            return cache(made), in_place
         own, effects = np.random.default_rng([self._camera_seed, self._tick, 3]), self._effects
-        hidden = any(isinstance(fault, OtherPad) and fault.instead for fault in wrong)
-        return cache(lambda: effects.drawn(made(), wrong, shot, own)), aside is None and not hidden
+        return cache(lambda: effects.drawn(made(), wrong, shot, own)), in_place and not acts.pad_hidden
 
     def _developed(
-        self, shot: Exposure, worker: RenderWorker | None, taken: Taken
+        self, shot: Exposure, worker: RenderWorker | None, taken: Taken, wrong: list[PictureFault]
     ) -> tuple[Callable[[], NDArray[np.uint8]], list[PictureFault]]:
         """Return the function that renders a scene, and the faults that are drawn into its image."""
         rng = np.random.default_rng([self._camera_seed, self._tick])
-        wrong = [fault for fault, _ in self.faults.on(PictureFault)]
         if worker is not None:
             return worker.order(shot, rng), wrong
         if self.exposure is None or not isinstance(self.renderer, Film):
@@ -379,13 +371,13 @@ class World:
         others = [fault for fault in wrong if not isinstance(fault, LightFalls)]
         return self.renderer.order(shot, rng, structs.replace(taken, light_fraction=left)), others
 
-    def _scene(self, aside: F64 | None) -> Exposure:
-        """Return the scene of the camera, `aside` (3,) m in the pad frame beside its true place."""
+    def _scene(self, acts: OnFrame) -> Exposure:
+        """Return the scene of the camera, shifted as a fault says."""
         v, pad = self.vehicle, self.pad_motion()
         p_body_ned = v.p_ned
-        if aside is not None:
+        if acts.forward_m or acts.right_m:
             # The scene stays where it is and the camera looks from beside its true place: every part is seen shifted alike.
-            p_body_ned = p_body_ned - pad.R_ned @ aside
+            p_body_ned = p_body_ned - pad.R_ned @ np.array([acts.forward_m, acts.right_m, 0.0])
         shot = Exposure(
             t_s=self.t_s,
             R_ned_body=known_rotation(v.R_ned_body),
@@ -398,16 +390,6 @@ class World:
             w_pad=pad.w,
         )
         return shot if self.gimbal is None else self.gimbal.turned(shot, self.camera.T_body_cam.t)
-
-    def _aside(self) -> F64 | None:
-        """Return the offset (3,) m in the pad frame by which a frame exposed now is shifted; None if it is not."""
-        shifting = self.faults.on(FramesShifted)
-        if not shifting:
-            return None
-        chance = np.random.default_rng([self._camera_seed, self._tick, 2])
-        shifts = [f for f, _ in shifting if f.fraction >= 1.0 or chance.random() < f.fraction]
-        aside = np.array([sum(f.forward_m for f in shifts), sum(f.right_m for f in shifts), 0.0])
-        return aside if aside.any() else None
 
     def truth(self) -> Truth:
         """Return the true state at the newest step."""
@@ -467,25 +449,26 @@ class World:
         self._decks = decks_of(pads)
         self._pads_at, self._deck_next, self._deck_end = self._tick, 0, self._chunk
 
+    def hold(self, fault: SensorFault) -> None:
+        """Keep the sensors' readings of this instant for a fault that repeats them."""
+        self._faulty.hold(fault, self._sensors.read(self.at))
+
+    def manoeuvre(self, fault: ShipFault) -> None:
+        """Let the vessel do what a fault says, from now on."""
+        self._manoeuvre.begin(fault, self.t_s)
+        self._deck_end = min(self._deck_end, self._deck_next + 1)
+
     def _apply_faults(self) -> None:
-        faults, v = self.faults, self.vehicle
+        v, faults = self.vehicle, self.faults
         for begun in faults.update(self.t_s - self._began_s, self.over_deck_m, self.guidance_phase):
-            self._faulty.begin(begun, self._sensors.read(self.at))
-            if isinstance(begun, Failsafe):
-                self.on_failsafe(begun.takes)
-            if self._manoeuvre.begin(begun, self.t_s):
-                self._deck_end = min(self._deck_end, self._deck_next + 1)
-        gusts = [_gust(fault, since_s) for fault, since_s in faults.on(Gust)]
-        health = {rotor.name: 1.0 for rotor in rotors(v.airframe)}
-        for fault, _ in faults.on(WeakRotor):
-            health[fault.rotor] *= fault.thrust_fraction
-        v.extra_wind = (sum(g[0] for g in gusts), sum(g[1] for g in gusts), 0.0)
-        v.rotor_health = tuple(health.values())
-        v.flow_works = not faults.active("flow_blind")
+            begun.on_begin(self)
+        self._strain = strain = OnVehicle({rotor.name: 1.0 for rotor in rotors(v.airframe)}, self._strain.battery_life_s)
+        for fault, since_s in faults.now:
+            fault.on_vehicle(strain, since_s)
+        v.extra_wind, v.rotor_health = strain.wind_ned, tuple(strain.thrust.values())
+        v.flow_works, v.tilt_max_rad = strain.flow_works, min(v.airframe.loops.tilt_max_rad, strain.tilt_max_rad)
         if "commands" in self.corruptions.signals:
             self._drive.arrive(v, self.at)
-        tilts = [math.radians(fault.to_deg) for fault, _ in faults.on(TiltLimited)]
-        v.tilt_max_rad = min([v.airframe.loops.tilt_max_rad, *tilts])
 
     @property
     def over_deck_m(self) -> float:
@@ -500,9 +483,3 @@ class World:
         at, phase = MonoNs(self._zero + round(v.touched_s * NS_PER_S)), _PHASES[int(v.touched_phase)]
         motors = phase not in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
         return touchdown_of(v, at, self.pad.disc_radius_m, phase, self.guidance_phase, motors=motors)
-
-
-def _gust(fault: Gust, since_s: float) -> tuple[float, float, float]:
-    """Return the gust's velocity in ned, m/s. Source: the "1 - cosine" discrete gust of MIL-F-8785C, 3.7.1.3, over time."""
-    share = 0.5 * (1.0 - math.cos(math.tau * since_s / (fault.for_s or math.inf)))
-    return wind_from(share * fault.speed_m_s, fault.from_deg)

@@ -9,7 +9,8 @@ from companion.base.mission import FlightOutcome
 from companion.guidance.operator.precedence import ControlSituation
 from drivers.clock import SystemClock
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import Corruptions, FaultTimer
+from sitl.faults.corrupted import Corruptions
+from sitl.faults.fault import FaultTimer
 from sitl.flight.afterwards import Afterwards
 from sitl.flight.grader import FlightGrader
 from sitl.flight.one_flight import settings_for

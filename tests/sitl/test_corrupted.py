@@ -9,7 +9,8 @@ from msgspec.structs import asdict, replace
 
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs, after
-from sitl.faults.fault import FACTS, Corrupted, Corruptions, FaultTimer
+from sitl.faults.corrupted import FACTS, Corrupted, Corruptions
+from sitl.faults.fault import FaultTimer
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.with_fault import with_random_faults
 from sitl.world.world import Stick, World

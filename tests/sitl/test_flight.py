@@ -8,7 +8,7 @@ from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
 from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
-from sitl.faults.kinds import KIND_OF_STREAM, LensCovered, StreamFault
+from sitl.faults.kinds import FrameStream, LensCovered, NavdataStream, StreamFault
 from sitl.flight.flight import Flight
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
@@ -41,7 +41,7 @@ def assert_never_lower_without_sight(decisions: list[Decision]) -> None:
         assert not isinstance(decision.command, Land), decision
 
 
-@pytest.mark.parametrize("kind", [KIND_OF_STREAM["frames"], KIND_OF_STREAM["navdata"]])
+@pytest.mark.parametrize("kind", [FrameStream, NavdataStream])
 def test_a_fault_in_the_descent_never_makes_it_descend_or_land_without_sight(kind: type[StreamFault]) -> None:
     """Losses of the wires are lost with images and without: the flight sees by the model of them."""
     calls, lost = ObservedCalls(), kind(at_s=2.5, for_s=4.0, dropped_fraction=1.0)

@@ -12,7 +12,8 @@ from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import VesselMotion, VesselReport, VesselWind
 from estimator.contracts.time import after
 from estimator.ship_motion import ShipMotion, ShipMotionOptions
-from sitl.faults.fault import Corrupted, Fault
+from sitl.faults.corrupted import Corrupted
+from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipSpeed, ShipTurn, TiltLimited, VesselReports
 from sitl.flight.one_flight import settings_for
 from sitl.flight.vessel_reports import VesselReporter

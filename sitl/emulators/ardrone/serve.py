@@ -102,7 +102,7 @@ def _result(world: World) -> dict[str, Any]:
         "on_pad": touched is not None and touched.on_pad,
         "lateral_m": None if touched is None else round(touched.lateral_m, 4),
         "unsafe": list(unsafe_contacts(truth.contacts, vehicle.contact, vehicle.airframe())),
-        "left_alone": world.faults.active("link_lost"),
+        "left_alone": world.faults.left_alone,
     }
 
 

@@ -44,6 +44,10 @@ class BodyState(Struct, frozen=True, eq=False):
     """Distance along the body's down axis to the deck or the still water, m; None beyond 40 m and if the axis points upwards."""
     battery: float = 1.0
     """Charge of the battery, 0 to 1."""
+    pressure_pa: float = 101_325.0
+    """Air pressure that a barometer reads."""
+    tilt_max_rad: float = math.inf
+    """Largest tilt that a fault leaves it."""
 
 
 class Body(World):
@@ -81,15 +85,18 @@ class Body(World):
     @property
     def reached(self) -> bool:
         """True if a service's commands reach the vehicle."""
-        return super().reached and not self.faults.active("service_killed")
+        return super().reached and not self.faults.service_gone
 
     def state(self) -> BodyState:
         """Return the body's state at the newest step."""
         if self._state is None or self._state[0] != self._tick:
             v = self.vehicle
             rotation = known_rotation(v.R_ned_body)
-            state = BodyState(self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, self._range_m(rotation), self.battery)
-            self._state = self._tick, state
+            range_m, pressure_pa = self._range_m(rotation), self._sensors.read(self.at).pressure_pa
+            self._state = self._tick, BodyState(
+                self.t_s, v.p_ned, v.v_ned, rotation, v.w_body, v.f_body, range_m, self.battery, pressure_pa,
+                self._strain.tilt_max_rad,
+            )  # fmt: skip
         return self._state[1]
 
     @property

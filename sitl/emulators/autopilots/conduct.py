@@ -157,7 +157,7 @@ class Conduct:
     @property
     def kills(self) -> bool:
         """True while the scenario has the service killed."""
-        return self._faults.active("service_killed")
+        return self._faults.service_gone
 
     @property
     def meets(self) -> bool:

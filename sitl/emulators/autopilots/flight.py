@@ -38,8 +38,9 @@ from sitl.emulators.autopilots.programs.arducopter import CURVE, STEP_S, JsonBac
 from sitl.emulators.autopilots.programs.program import Program, reserved_port, running
 from sitl.emulators.autopilots.programs.px4 import HilBackend, serve_hil
 from sitl.emulators.autopilots.station import STATION, Task
-from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
+from sitl.emulators.autopilots.telemetry import FaultyTelemetry, in_datagrams
 from sitl.emulators.autopilots.watch import FlightWatch
+from sitl.faults.carried import refuse_others
 from sitl.faults.faulty_streams import FlightFaults
 from sitl.flight.afterwards import Afterwards, cpu_s
 from sitl.flight.vessel_reports import VesselReporter
@@ -108,6 +109,7 @@ class AutopilotFlight:
         refuse_gimbal(self.scenario)
         if vehicle_model(self.scenario).airframe().layout != "quad_x":
             raise BadInput("--binary flies four rotors in an X; the scenario's vehicle has another layout")
+        refuse_others(self.scenario.title, self.scenario.faults, "own physics" if self.autopilot.own else "program")
         watchdog_s = COM_WATCHDOG_S[self.autopilot.name]
         unaided = self.autopilot.unaided
         self.scenario = begun_in_air(self.scenario, self.seed)
@@ -116,8 +118,11 @@ class AutopilotFlight:
         self.conduct = Conduct(
             self.autopilot.name, self.scenario, self.settings, self.faults, self.watch, own=self.autopilot.own, unaided=unaided
         )
-        told = CorruptedTelemetry(self.faults.corruptions, self.clock)
-        self.link = FaultyRelay(self.faults.streams, self.clock, self.watch.on_sent, self.watch.on_arrived, told)
+        told = FaultyTelemetry(self.faults, self.seed, self.clock)
+        self.link = FaultyRelay(
+            self.faults.streams, self.clock, self.watch.on_sent, self.watch.on_arrived,
+            in_datagrams(told.reported), in_datagrams(told.ordered),
+        )  # fmt: skip
 
     def service_settings(self, port: int = COMPANION_PORT) -> Settings:
         """Return the settings that the daemon flies with, which receives the autopilot at a UDP port of this machine."""

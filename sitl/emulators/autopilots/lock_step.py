@@ -178,6 +178,7 @@ class FaultyLink(Generic[_Packet]):
         sent: receives each packet that the service sends.
         arrived: receives each packet that reaches the service.
         changed: returns a packet of the vehicle as it leaves it.
+        ordered: returns a packet of the service as it reaches the vehicle.
     """
 
     def __init__(
@@ -187,8 +188,9 @@ class FaultyLink(Generic[_Packet]):
         sent: Callable[[_Packet], None],
         arrived: Callable[[_Packet], None],
         changed: Callable[[_Packet], _Packet],
+        ordered: Callable[[_Packet], _Packet],
     ) -> None:
-        self._clock, self._sent, self._arrived, self._changed = clock, sent, arrived, changed
+        self._clock, self._sent, self._arrived, self._changed, self._ordered = clock, sent, arrived, changed, ordered
         self._samples: InTransit[_Packet] = InTransit(streams.navdata)
         self._commands: InTransit[_Packet] = InTransit(streams.commands)
         self.to_daemon: Callable[[_Packet], None] | None = None
@@ -230,7 +232,8 @@ class FaultyLink(Generic[_Packet]):
             return
         self.carried["commands in"] += 1
         self._sent(packet)
-        self._commands.send(lambda: packet, self._clock.now())
+        ordered = self._ordered(packet)
+        self._commands.send(lambda: ordered, self._clock.now())
         self.deliver()
 
 
@@ -242,6 +245,7 @@ class FaultyRelay(FaultyLink[bytes]):
         sent: receives each message that the service sends.
         arrived: receives each message that reaches the service.
         changed: returns a datagram of the vehicle as it leaves it.
+        ordered: returns a datagram of the service as it reaches the vehicle.
     """
 
     def __init__(
@@ -251,6 +255,7 @@ class FaultyRelay(FaultyLink[bytes]):
         sent: Callable[[Message], None] = lambda message: None,
         arrived: Callable[[Message], None] = lambda message: None,
         changed: Callable[[bytes], bytes] = lambda data: data,
+        ordered: Callable[[bytes], bytes] = lambda data: data,
     ) -> None:
         def reader(on_message: Callable[[Message], None]) -> Callable[[bytes], None]:
             codec = Codec(0, 0, datagrams=True)
@@ -261,7 +266,7 @@ class FaultyRelay(FaultyLink[bytes]):
 
             return read
 
-        super().__init__(streams, clock, reader(sent), reader(arrived), changed)
+        super().__init__(streams, clock, reader(sent), reader(arrived), changed, ordered)
 
     @asynccontextmanager
     async def relaying(self, host: str, program_port: int, daemon_port: int) -> AsyncIterator[None]:

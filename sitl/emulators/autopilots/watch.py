@@ -151,7 +151,7 @@ class FlightWatch(NullObserver):
         if self._graded is not body:
             self._begin(body)
         assert self.grader is not None
-        if body.faults.active("service_killed"):
+        if body.faults.service_gone:
             body.guidance_phase = None
         if body.guidance_phase in _FOLLOWS and not body.contacts and body.height_m < _NEAR_M:
             beside = (body.pad_motion().p_ned - body.vehicle.p_ned)[:2]

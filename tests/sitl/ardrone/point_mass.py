@@ -146,17 +146,11 @@ class Failing:
     """The faults that a test has set to be active now."""
 
     def __init__(self) -> None:
-        self.now: list[Fault] = []
+        self.set: list[Fault] = []
 
     @property
-    def active_kinds(self) -> frozenset[str]:
-        return frozenset(fault.kind for fault in self.now)
-
-    def active(self, kind: str) -> bool:
-        return kind in self.active_kinds
-
-    def on(self, kind: type[Fault]) -> list[tuple[Fault, float]]:
-        return [(fault, 0.0) for fault in self.now if isinstance(fault, kind)]
+    def now(self) -> list[tuple[Fault, float]]:
+        return [(fault, 0.0) for fault in self.set]
 
 
 class PointMass:

@@ -249,23 +249,23 @@ async def test_wrong_stamps_late_frames_and_a_lost_link_reach_the_wire(server, w
         while (ahead_ms := (await watcher.frame()).header.timestamp_ms) < true_ms + 4000:
             pass
     world.stamp_error_s = 0.0
-    world.failing.now = [FrameStream(at_s=0.0, delay_s=0.4)]
+    world.failing.set = [FrameStream(at_s=0.0, delay_s=0.4)]
     async with asyncio.timeout(60):
         while (frame := (await watcher.frame()).header).timestamp_ms >= ahead_ms - 1000 or frame.timestamp_ms < true_ms:
             pass
     while server._drone_clock.milliseconds(server._clock.now()) - (await watcher.frame()).header.timestamp_ms < 400:
         pass
     numbers = [(await watcher.frame()).header.frame_number for _ in range(4)]
-    world.failing.now = []
+    world.failing.set = []
     numbers += [(await watcher.frame()).header.frame_number for _ in range(12)]
     assert numbers == sorted(numbers), "what follows a late frame waits behind it"
-    world.failing.now = [LinkLost(at_s=0.0)]
+    world.failing.set = [LinkLost(at_s=0.0)]
     await asyncio.sleep(0.1)
     measured_at, sent = server.drone.state.counters["at_taken"], server.counters["navdata_sent"]
     peer.say(FLY)
     await asyncio.sleep(0.2)
     assert (server.drone.state.counters["at_taken"], server.counters["navdata_sent"]) == (measured_at, sent)
-    world.failing.now = []
+    world.failing.set = []
     peer.ask()  # on a busy machine its lease has run out meanwhile
     peer.say(FLY)
     await peer.until(lambda n: n.control_state is ControlState.HOVERING)

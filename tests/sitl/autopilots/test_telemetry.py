@@ -10,8 +10,9 @@ from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.motion import G_M_S2
 from sitl.emulators.autopilots.lock_step import LockStepClock
-from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
-from sitl.faults.fault import Corrupted, Corruptions, FaultTimer
+from sitl.emulators.autopilots.telemetry import FaultyTelemetry, in_datagrams
+from sitl.faults.corrupted import Corrupted
+from sitl.faults.faulty_streams import FlightFaults
 
 AUTOPILOT = Codec(1, 1)
 YAW_RAD = math.radians(90.0)
@@ -24,9 +25,9 @@ RANGE = mav.MAVLink_distance_sensor_message(7, 5, 5000, 200, 0, 0, 25, 0)
 
 def told(message: Message, *faults: Corrupted) -> Message:
     """Return a message as it is told, after an attitude."""
-    timer = FaultTimer(faults)
+    timer = FlightFaults(faults)
     timer.update(1.0, 5.0, None)
-    link = CorruptedTelemetry(Corruptions(timer, 1), LockStepClock())
+    link = in_datagrams(FaultyTelemetry(timer, 1, LockStepClock()).reported)
     link(AUTOPILOT.pack(ATTITUDE))
     data = AUTOPILOT.pack(message)
     (changed,) = Codec(0, 0, datagrams=True).feed(link(data))
@@ -56,6 +57,6 @@ def test_a_signal_is_told_wrong_in_its_own_axes_and_unit() -> None:
 
 def test_what_nothing_is_wrong_with_passes_as_it_is() -> None:
     pack = AUTOPILOT.pack(VELOCITY) + AUTOPILOT.pack(mav.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
-    assert CorruptedTelemetry(Corruptions(FaultTimer(()), 1), LockStepClock())(pack) == pack
-    timer = FaultTimer((biased("gyro", 1.0),))
-    assert CorruptedTelemetry(Corruptions(timer, 1), LockStepClock())(pack) == pack, "before it begins"
+    for faults in ((), (biased("gyro", 1.0),)):
+        link = FaultyTelemetry(FlightFaults(faults), 1, LockStepClock())
+        assert in_datagrams(link.reported)(pack) == in_datagrams(link.ordered)(pack) == pack, "before it begins"

@@ -23,9 +23,9 @@ from sitl.campaign.plan import Overridable, digest_of, is_set, load_set, make_pl
 from sitl.campaign.random_faults import FaultTally, shrunk
 from sitl.campaign.report import REPORT
 from sitl.campaign.workers import Flight
-from sitl.faults.carried import TELEMETRY, refuse_others
+from sitl.faults.carried import refuse_others
+from sitl.faults.corrupted import SIGNALS, UNSIZED, Corrupted, errors_of
 from sitl.faults.drawn import SHARES, Drawable, draw, simpler
-from sitl.faults.fault import SIGNALS, UNSIZED, Corrupted, errors_of
 from sitl.faults.kinds import AnyFault, CommandStream, Failsafe, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
 from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
@@ -282,15 +282,13 @@ def test_an_autopilots_faults_are_those_that_act_beside_it() -> None:
     drawn = [with_random_faults(load("rendezvous"), seed, "model", autopilot=True).faults for seed in range(600)]
     every = [fault for faults in drawn for fault in faults]
     for faults in drawn:
-        refuse_others("drawn", faults, stand_in=True)
+        refuse_others("drawn", faults, "stand-in")
     assert {fault.kind for fault in every} > {"failsafe", "corrupted", "operator", "service_killed", "low_battery"}
     assert {f.takes for f in every if isinstance(f, Failsafe)} == {"land", "hold"}
     assert {f.order for f in every if isinstance(f, OperatorActs)} > {"mode", "disarm", "land"}
-    assert {f.signal for f in every if isinstance(f, Corrupted)} > TELEMETRY
-    with pytest.raises(BadInput, match=r"simulated AR\.Drone alone; here"):
-        refuse_others("it", [LowBattery(at_s=1.0)], stand_in=False)
-    with pytest.raises(BadInput, match="corrupted barometer"):
-        refuse_others("it", [Corrupted(signal="barometer", error="frozen", at_s=1.0)], stand_in=True)
+    assert {f.signal for f in every if isinstance(f, Corrupted)} > {"barometer", "range", "commands"}
+    with pytest.raises(BadInput, match=r"low_battery.*cannot act: a program has"):
+        refuse_others("it", [LowBattery(at_s=1.0)], "program")
 
 
 def started(fault: AnyFault) -> tuple[object, ...]:

@@ -166,6 +166,8 @@ class MiniatureAutopilot:
     """Messages whose stream is refused."""
     distance_cm: int | None = None
     """Distance of its rangefinder, or echoed from us."""
+    pressure_pa: float | None = None
+    """Reading of its barometer; None for one that reports none."""
     deaf: bool = False
     """Hears commands and answers none."""
     silent: bool = False
@@ -203,6 +205,7 @@ class MiniatureAutopilot:
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._landed,
             mav.MAVLINK_MSG_ID_SYS_STATUS: self._status,
             mav.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
+            mav.MAVLINK_MSG_ID_SCALED_PRESSURE: self._pressure,
             mav.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
             mav.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance,
         }
@@ -389,6 +392,11 @@ class MiniatureAutopilot:
             return None
         return mav.MAVLink_distance_sensor_message(self.boot_ms, 5, 5000, self.distance_cm, 0, 0, 25, 0)
 
+    def _pressure(self, t: float, least: int) -> Message | None:
+        if self.pressure_pa is None:
+            return None
+        return mav.MAVLink_scaled_pressure_message(self.boot_ms, 0.01 * self.pressure_pa, 0.0, 2000)
+
     def _f_mg(self, least: int) -> tuple[int, int, int]:
         forward, right, down = (round(1e3 * f / 9.8) for f in self.f_body)
         return forward, right, down + least
@@ -442,8 +450,10 @@ FORCED = 21196.0
 ON_GROUND, IN_AIR = 1, 2
 """MAV_LANDED_STATE."""
 STILL: Motors = (0.0, 0.0, 0.0, 0.0)
-_OURS = (mav.MAVLINK_MSG_ID_RAW_IMU, mav.MAVLINK_MSG_ID_HIGHRES_IMU, mav.MAVLINK_MSG_ID_DISTANCE_SENSOR)
-"""Streams of a miniature that a stand-in sends by its own, as it is stepped, or not at all."""
+_OURS = (mav.MAVLINK_MSG_ID_RAW_IMU, mav.MAVLINK_MSG_ID_HIGHRES_IMU)
+"""Streams of a miniature that a stand-in sends by its own, as it is stepped."""
+_NO_ECHO_CM = 5000
+"""The limit of its rangefinder, which it reports where it sees nothing."""
 _CHUNK = 50
 """Characters in one STATUSTEXT."""
 
@@ -602,6 +612,7 @@ class StandIn(MiniatureAutopilot, ABC):
         self.state = s
         self._origin = s.p_ned if self._origin is None else self._origin
         self.p_ned, self.v_ned, self.charge = s.p_ned - self._origin, s.v_ned, s.battery
+        self.pressure_pa, self.distance_cm = s.pressure_pa, _NO_ECHO_CM if s.range_m is None else round(100.0 * s.range_m)
         if self.gimbal is not None:
             for component, message in self.gimbal.due(self.now_s, self.boot_ms, s.R_ned_body.rpy_rad[2]):
                 self._send_as(component, message)

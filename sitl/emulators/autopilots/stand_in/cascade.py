@@ -154,7 +154,7 @@ class Cascade(Struct):
         f, g = self.airframe, self.gains
         roll, pitch, yaw = s.R_ned_body.rpy_rad
         c, sn = math.cos(yaw), math.sin(yaw)
-        most = math.tan(g.lean_max_rad if lean_max_rad is None else lean_max_rad)
+        most = math.tan(min(g.lean_max_rad if lean_max_rad is None else lean_max_rad, s.tilt_max_rad))
         forward, right = (c * a[0] + sn * a[1]) / G_M_S2, (-sn * a[0] + c * a[1]) / G_M_S2
         size = math.hypot(forward, right)
         cut = most / size if size > most else 1.0

@@ -41,7 +41,7 @@ from sitl.emulators.autopilots.stand_in.base import STEP_S, GimbalLink, StandIn
 from sitl.emulators.autopilots.stand_in.memory_link import MemoryLink
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
 from sitl.emulators.autopilots.station import READS, STATION
-from sitl.emulators.autopilots.telemetry import CorruptedTelemetry
+from sitl.emulators.autopilots.telemetry import FaultyTelemetry
 from sitl.emulators.autopilots.watch import FlightWatch
 from sitl.faults.carried import refuse_others
 from sitl.faults.faulty_streams import FlightFaults, InTransit
@@ -158,6 +158,7 @@ class StandInFlight:
     def __post_init__(self) -> None:
         if self.scenario.gimbal.given and self.perception.level != "pixels":
             raise BadInput("gimbal: only a flight with rendered frames (--perception pixels) has one")
+        refuse_others(self.scenario.title, self.scenario.faults, "stand-in")
         cv2.setNumThreads(1)
         watchdog_s = COM_WATCHDOG_S[self.autopilot]
         stands = self.scenario.start.where == "pad"
@@ -170,8 +171,8 @@ class StandInFlight:
         watch = self.watch = FlightWatch(self.settings, self.clock, watchdog_s, unaided=self.unaided)
         watch.body = self.body
         self.conduct = Conduct(self.autopilot, scenario, self.settings, self.faults, watch, unaided=self.unaided)
-        told = CorruptedTelemetry(self.faults.corruptions, self.clock)
-        self.link = FaultyLink(self.faults.streams, self.clock, watch.on_sent, watch.on_arrived, told.corrupted)
+        told = FaultyTelemetry(self.faults, self.seed, self.clock)
+        self.link = FaultyLink(self.faults.streams, self.clock, watch.on_sent, watch.on_arrived, told.reported, told.ordered)
         self._under_way = InTransit(self.faults.streams.frames)
         self.stand_in = self._stand_in()
         self.body.on_failsafe = self.stand_in.acts_by_failsafe
@@ -350,7 +351,6 @@ def fly_stand_in(
     """
     if drawn:
         scenario = with_random_faults(scenario, seed, perception, autopilot=True)
-    refuse_others(name, scenario.faults, stand_in=True)
     seen_by = perceive(perception, perception_model)
     end = StandInFlight(scenario, seed, settings, autopilot, perception=seen_by).fly()
     if end.failure:

@@ -45,6 +45,8 @@ _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
 _LOW_THRUST, _NO_THRUST = 0.6, 0.1
 """Thrusts of the land detector between the least and hovering: possible contact with the ground, and no thrust."""
 _WANTS_UP_M_S = 0.3
+_MEASURED = 0b111111 | 1 << 9
+"""Bits of HIGHRES_IMU's fields_updated: acceleration, turn rate and pressure."""
 
 
 class Px4StandIn(StandIn):
@@ -144,7 +146,7 @@ class Px4StandIn(StandIn):
 
     def imu(self, s: BodyState) -> Message:
         """Return HIGHRES_IMU, whose accelerations are means over the sensor's own period."""
-        readings = (*map(float, s.f_body), *map(float, s.w_body), 0, 0, 0, 1000.0, 0, 0, 20.0, 0b111111)
+        readings = (*map(float, s.f_body), *map(float, s.w_body), 0, 0, 0, 0.01 * s.pressure_pa, 0, 0, 20.0, _MEASURED)
         return mav.MAVLink_highres_imu_message(self.boot_ns // 1000, *readings)
 
     def fly(self, s: BodyState) -> Motors:
