@@ -420,7 +420,7 @@ def test_a_seed_selects_only_faults_that_the_level_of_perception_represents() ->
 def kinds_of(level: Perception) -> set[str]:
     return {
         fault.kind
-        for seed in range(500)
+        for seed in range(200)
         for fault in faulty(load_scenario("demo"), seed, possible=lambda s: represents(level, s.faults)).faults
     }
 
