@@ -327,7 +327,7 @@ WORDS = {
     "broker_dies": "broker|mqtt",
 }
 """Patterns that the log must contain for an event. The other events need no action of a person. The log reports a silent broker
-after twice `expert.mqtt.keepalive_s`, 20 s, and these are shorter."""
+after twice the keep-alive interval, and these are shorter."""
 KINDS = (
     "log_reader_stops", "terminal_hangs_up", "ctrl_z", "service_stopped", "disk_hangs", "disk_full", "clock_set", "link_stalls",
     "link_doubles", "link_moves", "broker_dies", "broker_says_nothing", "browsers_stop_reading", "cpu_hogs",

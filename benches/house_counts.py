@@ -35,7 +35,7 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
         "study/gym/",
     ),
     "thesis": (
-        "companion/cli/experiments.py", "companion/guidance/law/pid.py", "companion/guidance/mission/thesis.py",
+        "companion/cli/experiments.py", "companion/guidance/law/pid.py", "companion/guidance/thesis.py",
         "estimator/constant_velocity.py", "estimator/dead_reckoning.py", "estimator/vision/thesis/", "study/experiments/",
     ),
 }  # fmt: skip

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.controllers import OFFERED, ControllerSetup, make_controller
+from companion.guidance.law.controllers import OFFERED, ControllerSetup, make_controller
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.guidance.law.gains import regulator, riccati
 from estimator.contracts.commands import Command, Lean

@@ -19,13 +19,16 @@ from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from companion.base.health import Health
 from companion.base.observer import Observer, Relay, listens, rests
-from companion.settings.service import RestartOptions
 from drivers.reconnect import BackOff, reconnect
 from estimator.contracts.errors import BadInput, Recoverable, in_words
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import Clock, MonoNs, after, seconds_between
 
 log = logging.getLogger(__name__)
+RESTART = BackOff(0.2, 5.0, 5.0)
+"""The waits before a failed part is started again."""
+GIVE_UP_AFTER = 10
+"""Failures in a row after which a part beside the flight is given up; those of the outside world do not count."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -196,25 +199,21 @@ class RestartablePart(Relay, Generic[Made]):
 Body = Callable[[], Awaitable[None]]
 
 
-def _back_off(policy: RestartOptions) -> BackOff:
-    return BackOff(policy.restart_first_s, policy.restart_cap_s, policy.restart_healthy_after_s, policy.restart_factor)
-
-
-async def keep_alive(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
+async def keep_alive(name: str, body: Body, restart: BackOff, health: Health, clock: Clock) -> None:
     """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns has finished."""
 
     async def attempt() -> None:
         health.up(name)
         await uncancelled(name, body)
 
-    await reconnect(name, attempt, _back_off(policy), clock, lambda why: health.down(name, why), (Recoverable,))
+    await reconnect(name, attempt, restart, clock, lambda why: health.down(name, why), (Recoverable,))
 
 
-async def contain(name: str, body: Body, policy: RestartOptions, health: Health, clock: Clock) -> None:
+async def contain(name: str, body: Body, restart: BackOff, health: Health, clock: Clock) -> None:
     """Run a `body` beside the flight again after any error. This raises nothing but its own cancellation.
 
     An error that does not come from the outside world (`Recoverable`, `OSError`) is logged with its traceback the first time, and
-    `policy.restart_give_up_after` of them in a row end the part for good. A body that returns has finished.
+    `GIVE_UP_AFTER` of them in a row end the part for good. A body that returns has finished.
     """
     in_a_row = 0
 
@@ -234,25 +233,25 @@ async def contain(name: str, body: Body, policy: RestartOptions, health: Health,
         if _cancelled():  # it failed while it was being cancelled
             report("%s failed while it ended", name, why=why)
             raise asyncio.CancelledError from why
-        if seconds_between(began, clock.now()) >= policy.restart_healthy_after_s:
+        if seconds_between(began, clock.now()) >= restart.healthy_after_s:
             in_a_row = 0
         if not _of_the_world(why):
             in_a_row += 1
             if health.contain(name) == 1:
                 report("%s failed and will be restarted; the flight goes on", name, why=why)
-        if in_a_row >= policy.restart_give_up_after:
+        if in_a_row >= GIVE_UP_AFTER:
             words = f"off after {in_a_row} failures: {in_words(why)}"
             health.down(name, RuntimeError(words))
             log.error("%s is %s", name, words)
             return
         raise Recoverable(in_words(why)) from why
 
-    await reconnect(name, attempt, _back_off(policy), clock, lambda why: health.down(name, why))
+    await reconnect(name, attempt, restart, clock, lambda why: health.down(name, why))
 
 
 async def run(
     parts: Mapping[str, Body],
-    policy: RestartOptions,
+    restart: BackOff,
     health: Health,
     clock: Clock,
     until: asyncio.Event | None = None,
@@ -271,10 +270,12 @@ async def run(
     """
     for name in parts:
         health.vital(name)
-    others = [asyncio.create_task(contain(name, body, policy, health, clock), name=name) for name, body in (beside or {}).items()]
+    others = [
+        asyncio.create_task(contain(name, body, restart, health, clock), name=name) for name, body in (beside or {}).items()
+    ]
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(keep_alive(name, body, policy, health, clock), name=name) for name, body in parts.items()]
+            tasks = [group.create_task(keep_alive(name, body, restart, health, clock), name=name) for name, body in parts.items()]
             if until is not None:
                 await until.wait()
                 for task in tasks:

@@ -48,25 +48,48 @@ EDGES_S = (
 """Upper edges of the histogram's buckets, s; longer durations lie above the last."""
 
 
-class Delays(Struct):
-    """The durations of one stage, seconds; quantiles are of the newest."""
+class Histogram(Struct):
+    """Durations counted by the edges of buckets, seconds."""
 
+    edges_s: tuple[float, ...] = EDGES_S
     count: int = 0
     """Number of durations since the start."""
     sum_s: float = 0.0
     """Sum of all of them."""
-    buckets: list[int] = field(default_factory=lambda: [0] * (len(EDGES_S) + 1))
+    worst_s: float = 0.0
+    buckets: list[int] = field(default_factory=list)
     """Number of durations up to each edge and above the one before; the last is above all edges."""
-    _newest: deque[float] = field(default_factory=lambda: deque(maxlen=600))
+
+    def __post_init__(self) -> None:
+        self.buckets = [0] * (len(self.edges_s) + 1)
 
     def add(self, seconds: float) -> None:
         self.count += 1
         self.sum_s += seconds
-        self.buckets[bisect_left(EDGES_S, seconds)] += 1
+        self.worst_s = max(self.worst_s, seconds)
+        self.buckets[bisect_left(self.edges_s, seconds)] += 1
+
+    def quantile(self, q: float) -> float:
+        """Return the upper edge of the q-quantile's bucket, s, at most the worst; 0 before the first."""
+        left = q * self.count
+        for edge, n in zip(self.edges_s, self.buckets, strict=False):
+            left -= n
+            if left <= 0.0:
+                return min(edge, self.worst_s)
+        return self.worst_s
+
+
+class Delays(Histogram):
+    """The durations of one stage, seconds, with the newest of them."""
+
+    _newest: deque[float] = field(default_factory=lambda: deque(maxlen=600))
+
+    def add(self, seconds: float) -> None:
+        super().add(seconds)
         self._newest.append(seconds)
 
     def quantiles(self, *qs: float) -> list[float | None]:
-        """Return several quantiles, seconds, of one sort; None before the first value."""
+        """Return several quantiles of the newest, seconds, of one sort; None before the first value."""
         ordered = sorted(self._newest)
         return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] if ordered else None for q in qs]
 

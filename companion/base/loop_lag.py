@@ -12,12 +12,11 @@ import logging
 import sys
 import threading
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
 
-from companion.base.health import Health
+from companion.base.health import Health, Histogram
 
 log = logging.getLogger(__name__)
 
@@ -40,32 +39,9 @@ log = logging.getLogger(__name__)
 
 STAGE = "loop_lag"
 """The stage of health that has each lag."""
-_EDGES_S = tuple(1e-4 * 1.05**n for n in range(260))
+LAG_EDGES_S = tuple(1e-4 * 1.05**n for n in range(260))
 """Upper edges of the buckets, s, from 0.1 ms to half a minute: a quantile is known to 5 %."""
 _OURS = ("companion", "drivers", "estimator", "sitl")
-
-
-class Lags:
-    """All lags of one flight, s."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.worst_s = 0.0
-        self._buckets = [0] * (len(_EDGES_S) + 1)
-
-    def add(self, seconds: float) -> None:
-        self.count += 1
-        self.worst_s = max(self.worst_s, seconds)
-        self._buckets[bisect_left(_EDGES_S, seconds)] += 1
-
-    def quantile(self, q: float) -> float:
-        """Return the upper edge of the q-quantile's bucket, s, at most the worst; 0 before the first."""
-        left = q * self.count
-        for edge, n in zip(_EDGES_S, self._buckets, strict=False):
-            left -= n
-            if left <= 0.0:
-                return min(edge, self.worst_s)
-        return self.worst_s
 
 
 def in_words(counts: Mapping[str, float]) -> str:
@@ -96,7 +72,8 @@ class LoopWatch:
         self._thread_beat_s = self._beat_s
         self._worked_s = 0.0
         self._stopped = threading.Event()
-        self.lags = Lags()
+        self.lags = Histogram(LAG_EDGES_S)
+        """All lags of one flight, s."""
         self.held = 0
         """The number of holds above `HELD_S`."""
         self.stood_s = 0.0
@@ -135,7 +112,7 @@ class LoopWatch:
         """Take a lag by the monotonic clock, and how long the loop was away in all, suspended time included."""
         flying = self._flying()
         if flying and not self._flew:
-            self.lags = Lags()
+            self.lags = Histogram(LAG_EDGES_S)
         self._flew = flying
         self.lags.add(late_s)
         self._health.delay(STAGE, late_s)

@@ -12,8 +12,8 @@ from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, ORDER
 from companion.base.observer import ResponseInUse
 from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
-from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
+from companion.guidance.law.controllers import ControllerSetup, make_controller
 from companion.guidance.law.flown_course import reported_lean
 from companion.guidance.law.margins import expected_error_m
 from companion.guidance.law.response_watch import ResponseIdentifier

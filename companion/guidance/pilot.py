@@ -16,8 +16,8 @@ from companion.base.mission import CONTACT_INTENDED, GROUND, ORDERED, Event, Fli
 from companion.base.observer import Decision, DeckOutlook
 from companion.guidance import monitor
 from companion.guidance.controller import Controller, FieldOfView, Knowledge
-from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
+from companion.guidance.law.controllers import ControllerSetup, make_controller
 from companion.guidance.monitor import Monitor, Witnesses
 from companion.guidance.operator.arbiter import Chosen, OperatorArbiter
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse

@@ -66,17 +66,19 @@ ROWS: Mapping[State, Row] = {
 }
 
 
-def ways(cone: Mapping[State, Row]) -> Mapping[State, Row]:
-    """Return the rows of this mission, by those of the one in the cone."""
-    search = {event: to for event, to in cone[State.SEARCH].items() if to is not State.RENDEZVOUS}
-    rows = {**cone, State.SEARCH: {**search, Event.SIGHT: State.GATE}, **ROWS}
-    # The motors are the autopilot's own to stop, after its own landing.
-    return {state: {event: to for event, to in row.items() if event is not Event.TIPPED} for state, row in rows.items()}
-
-
 def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
     """Return the phases of this mission, by those of the one in the cone."""
-    held = {state: phase._replace(aim=_hover, allows=lambda command, p, s, o: command) for state, phase in cone.items()}
+    search = {event: to for event, to in cone[State.SEARCH].ways.items() if to is not State.RENDEZVOUS}
+    rows = {state: phase.ways for state, phase in cone.items()}
+    rows |= {State.SEARCH: {**search, Event.SIGHT: State.GATE}, **ROWS}
+    # The motors are the autopilot's own to stop, after its own landing.
+    ways: dict[State, Row] = {
+        state: {event: to for event, to in row.items() if event is not Event.TIPPED} for state, row in rows.items()
+    }
+    held = {
+        state: phase._replace(ways=ways[state], aim=_hover, allows=lambda command, p, s, o: command)
+        for state, phase in cone.items()
+    }
     return {
         **held,
         State.GATE: held[State.GATE]._replace(events=_offers, note=_note),

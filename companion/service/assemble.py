@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from companion.base import memory
+from companion.base.containment import RESTART
 from companion.base.event_loop import heeded
 from companion.base.health import SHIP_PLACE, Health
 from companion.base.mission import FlightOutcome
@@ -126,7 +127,7 @@ def make_daemon(
         pilot,
         ticking,
         DaemonSetup(
-            settings.service,
+            RESTART,
             settings.guidance.rate_hz,
             health_period_s=settings.service.health_period_s,
             threads=settings.vision.threads,

@@ -28,8 +28,8 @@ from companion.cycle.cycle import ATTITUDE_WAIT_S, Cycle
 from companion.cycle.pace import FramePace
 from companion.cycle.ports import OpenLink, VehicleLink
 from companion.guidance.pilot import Look, Pilot
-from companion.settings.service import RestartOptions
 from drivers.mailbox import Line
+from drivers.reconnect import BackOff
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
@@ -49,7 +49,8 @@ _UNASKED_S = 0.1
 class DaemonSetup:
     """Mode of the daemon: its options beside the settings."""
 
-    restart: RestartOptions
+    restart: BackOff
+    """The waits before a failed part is started again."""
     guidance_rate_hz: float
     """The rate of guidance cycles."""
     health_period_s: float = 0.0

@@ -22,14 +22,13 @@ from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import BridgeOptions, HttpSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
 from companion.settings.part_table import PartTable
-from companion.settings.service import RecorderOptions, RestartOptions
+from companion.settings.service import RecorderOptions
 from companion.settings.vessel import VesselOptions
 from drivers.camera.options import DRIVEN_SOURCES, SOURCES, CameraOptions
 from drivers.mavlink.options import GimbalOptions, autopilot_of
 from drivers.vehicle import VehicleOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import PUBLIC, choice, number, text, tuning
-from estimator.contracts.samples import SAMPLE_QUEUE_ITEMS
+from estimator.contracts.keys import PUBLIC, choice, text, tuning
 from estimator.options import EstimatorOptions
 from estimator.vision.options import TrackerOptions
 
@@ -62,15 +61,12 @@ class VisionSettings(TrackerOptions, frozen=True, forbid_unknown_fields=True):
     ] = 0.7
 
 
-class ServiceSettings(RestartOptions, frozen=True, forbid_unknown_fields=True):
-    """The process: logging, queues, restarts, health."""
+class ServiceSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """The process: logging and health."""
 
     log_level: Annotated[
         Literal["debug", "info", "warning", "error"], choice("least important messages that are logged", public=True, page=True)
     ] = "info"
-    sample_queue_items: Annotated[
-        int, number("inertial samples that may wait; the oldest is dropped and counted", "samples", 16, 100_000)
-    ] = SAMPLE_QUEUE_ITEMS
     health_period_s: Annotated[float, tuning("how often health is written to the log; 0 for never", "s", 0.0, 3600.0)] = 10.0
 
 

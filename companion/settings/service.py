@@ -1,28 +1,8 @@
-"""The settings of the service itself: its restarts, and the table [recorder]."""
+"""The table [recorder] of the settings."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
-
-
-class RestartOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The restart of failed parts, and the point at which they are given up.
-
-    Raises:
-        ValueError: a number outside its range, or back-offs that do not go together.
-    """
-
-    restart_first_s: Annotated[float, number("first back-off before a failed part restarts", "s", 0.01, 60.0)] = 0.2
-    restart_factor: Annotated[float, number("factor between a back-off and the next", "1", 1.0, 10.0)] = 2.0
-    restart_cap_s: Annotated[float, number("longest rest", "s", 0.01, 600.0)] = 5.0
-    restart_healthy_after_s: Annotated[
-        float, number("time of uninterrupted work after which a part begins with the first back-off again", "s", 0.1, 3600.0)
-    ] = 5.0
-    restart_give_up_after: ClassVar[int] = 10
-    """Failures in a row after which a part beside the flight is given up; those of the outside world do not count."""
-
-    ORDER = ("restart_first_s <= restart_cap_s",)
-
+from estimator.contracts.keys import CheckedOptions, choice, text, tuning
 
 FrameForm = Literal["jpeg", "h264", "png", "none"]
 

@@ -223,7 +223,6 @@ class ArDrone:
         self,
         options: ArDroneOptions,
         clock: Clock,
-        sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
         decoder: PictureDecoder | None = None,
         failed: Callable[[str, BaseException], None] = lambda name, why: None,
     ) -> None:
@@ -238,7 +237,7 @@ class ArDrone:
         """The channels that wait to be started again, each with the reason."""
         self._streamer = CommandStreamer(options)
         self._navdata = NavdataChannel(options, clock, self.counters, self._received_at, self._restarted)
-        self.samples: Line[Sample] = Line(sample_queue_items, self._navdata.take_waiting)
+        self.samples: Line[Sample] = Line(SAMPLE_QUEUE_ITEMS, self._navdata.take_waiting)
         self._commands = CommandChannel(options, clock, self.counters, self._streamer, self._navdata)
         self._setup = Setup(options, clock, self.counters, self._commands, self._navdata)
         self._control = ControlChannel(options, self.counters, self._commands, self._setup)
@@ -323,7 +322,6 @@ class ArDrone:
 async def open_ardrone(
     options: ArDroneOptions,
     clock: Clock,
-    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
     decoder: PictureDecoder | None = None,
     failed: Callable[[str, BaseException], None] = lambda name, why: None,
 ) -> AsyncIterator[ArDrone]:
@@ -335,14 +333,13 @@ async def open_ardrone(
     drone for a successor.
 
     Args:
-        sample_queue_items: samples that may wait for a slow reader; the oldest are dropped.
         decoder: of a 1.0's UVLC pictures (`estimator.uvlc.UvlcDecoder`); a 2.0 needs none.
         failed: called with each failure of a channel, and the channel's name.
 
     Raises:
         ValueError: a 1.0 without a decoder.
     """
-    drone = ArDrone(options, clock, sample_queue_items, decoder, failed)
+    drone = ArDrone(options, clock, decoder, failed)
     back_off = BackOff(options.restart_first_s, options.restart_most_s, healthy_after_s=options.restart_most_s)
     # Without commands a flying drone lands by itself, so that socket is never left closed for long.
     fast_most_s = min(options.restart_most_s, 8 * options.command_period_s)

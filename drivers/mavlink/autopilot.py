@@ -102,7 +102,6 @@ class Autopilot:
         links: Links,
         clock: Clock,
         parameters: tuple[str, ...],
-        sample_queue_items: int,
         authority: Authority = Authority.SETPOINTS,
     ) -> None:
         self._o, self._authority = options, authority
@@ -131,7 +130,7 @@ class Autopilot:
         links.follows = self._follows
         self.frames: Latest[Frame] = Latest()
         """An autopilot has no frames; a camera driver offers them here."""
-        self.samples: Line[Sample] = Line(sample_queue_items, self._take_waiting)
+        self.samples: Line[Sample] = Line(SAMPLE_QUEUE_ITEMS, self._take_waiting)
         self.texts: deque[tuple[MonoNs, int, str]] = deque(maxlen=100)
         """The newest STATUSTEXTs of the autopilot, each as (received_at, severity, text)."""
         self._joined = JoinedTexts()
@@ -644,7 +643,6 @@ async def open_autopilot(
     links: Sequence[LinkOptions] | None = None,
     *,
     parameters: tuple[str, ...] = (),
-    sample_queue_items: int = SAMPLE_QUEUE_ITEMS,
     waits: bool = False,
     authority: Authority = Authority.SETPOINTS,
 ) -> AsyncIterator[Autopilot]:
@@ -656,14 +654,13 @@ async def open_autopilot(
     Args:
         links: the links of the options with their keys; None for those of the options without any key.
         parameters: names of the autopilot's parameters that are read on each connect.
-        sample_queue_items: samples that may wait for the reader; the oldest is dropped and counted.
         waits: let datagrams wait until samples are taken or setpoints sent, instead of waking the loop for each.
         authority: what may be sent to move the vehicle, whoever orders it.
     """
     if links is None:
         links = tuple(LinkOptions(endpoint, limits=options) for endpoint in options.endpoints())
     async with kept_open(links_of(options, clock, links, waits=waits), links) as opened:
-        autopilot = Autopilot(options, opened, clock, parameters, sample_queue_items, authority)
+        autopilot = Autopilot(options, opened, clock, parameters, authority)
         reading = [] if waits else [("autopilot-read", autopilot._read())]
         async with running_beside([*reading, *((one.name, one.run(clock)) for one in autopilot.work)]):
             try:

@@ -14,7 +14,7 @@ from estimator.contracts.geometry import DOUBLE, F64, GeoPoint, Rotation, own_ar
 from estimator.contracts.time import MonoNs, Stamp
 
 SAMPLE_QUEUE_ITEMS = 4096
-"""Samples that wait for the reader of a link unless a setting names another number; the oldest is dropped and counted."""
+"""Samples that wait for the reader of a link; the oldest is dropped and counted."""
 UNKNOWN_VAR = 1e6
 """Variance (SI units squared) of a direction that was not measured."""
 _ROUNDED = 1e-6  # Share of a variance by which rounding may make a covariance indefinite

@@ -34,7 +34,7 @@ from companion.service.assemble import Proven
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
-from companion.settings.service import RestartOptions
+from drivers.reconnect import BackOff
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
 from estimator.contracts.time import MonoNs
 from estimator.options import EstimatorOptions
@@ -401,7 +401,7 @@ async def test_vision_is_prepared_once_between_the_first_cycle_and_the_first_fra
     monkeypatch.setattr(type(pilot.search), "has_unread", True)
     monkeypatch.setattr(pilot.search, "read_deck", read_deck)
     monkeypatch.setattr(pilot.landing, "on_pad", lambda check: order.append("told") if check is crate else None)
-    restart, prepare = RestartOptions(0.01, 1.0, 0.01, 5.0), lambda: order.append(threading.current_thread().name)
+    restart, prepare = BackOff(0.01, 0.01, 5.0, 1.0), lambda: order.append(threading.current_thread().name)
     daemon = Daemon(vehicle.open, pilot, CLOCK, DaemonSetup(restart, 50.0, threads=1, prepare=prepare), observers=[Order(order)])
     cv2.setNumThreads(2)
     async with asyncio.TaskGroup() as group:

@@ -7,8 +7,8 @@ from msgspec import structs
 
 from companion.base.mission import Event
 from companion.guidance.controller import Knowledge, Target
-from companion.guidance.controllers import ControllerSetup, make_controller
 from companion.guidance.landing import LandingGuidance
+from companion.guidance.law.controllers import ControllerSetup, make_controller
 from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController

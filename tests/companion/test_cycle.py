@@ -14,9 +14,9 @@ from companion.guidance.pilot import make_pilot
 from companion.recording.reading import RecordedFrame
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.model import Settings
-from companion.settings.service import RestartOptions
 from companion.tools.replay.engine import Replay
 from drivers.mailbox import Latest, Line
+from drivers.reconnect import BackOff
 from estimator.contracts.commands import Command
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs
@@ -89,7 +89,7 @@ class StreamClock(VirtualClock):
 async def by_the_daemon(stream: Stream, settings: Settings) -> ObservedCalls:
     cycles = [t for t, _, _, decided in stream.ticks if decided]
     clock, link, outputs = StreamClock(cycles), Link(), ObservedCalls()
-    options = DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), settings.guidance.rate_hz)
+    options = DaemonSetup(BackOff(0.01, 0.01, 5.0, 1.0), settings.guidance.rate_hz)
     daemon = Daemon(link.open, make_pilot(settings), clock, options, observers=[outputs])
     with patch("companion.service.daemon.no_full_collections", nullcontext):
         task = asyncio.create_task(daemon.run())

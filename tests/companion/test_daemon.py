@@ -25,12 +25,12 @@ from companion.service.vehicle_parts import ExposurePart, vehicle_parts
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import camera_model, from_mapping, load, pad_model
 from companion.settings.model import CameraSettings
-from companion.settings.service import RestartOptions
 from drivers.camera.exposure import ExposureDrive, ExposureRange, ExposureSetting
 from drivers.camera.metering import TARGET
 from drivers.camera.options import ExposureOptions
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
+from drivers.reconnect import BackOff
 from estimator.contracts.commands import Command, CutMotors, Hover
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import FusionResult, RelativeState, Verdict
@@ -101,7 +101,7 @@ def daemon_of(
 ) -> Daemon:
     pilot = pilot or Pilot(EYES, EstimatorOptions(), GuidanceOptions())
     observers = [] if diary is None else [diary]
-    return Daemon(open_link, pilot, CLOCK, DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0, **setup), observers=observers)
+    return Daemon(open_link, pilot, CLOCK, DaemonSetup(BackOff(0.01, 0.01, 5.0, 1.0), 50.0, **setup), observers=observers)
 
 
 @asynccontextmanager

@@ -28,7 +28,7 @@ from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from companion.settings.model import Settings
-from companion.settings.service import RestartOptions
+from drivers.reconnect import BackOff
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import FusionResult
 from estimator.contracts.samples import Sample
@@ -163,7 +163,7 @@ async def fly_failing(
         vehicle.open,
         OrderingPilot(vehicle),
         clock,
-        DaemonSetup(RestartOptions(0.02, 2.0, 0.1, 5.0), 50.0, health_period_s=0.3),
+        DaemonSetup(BackOff(0.02, 0.1, 5.0), 50.0, health_period_s=0.3),
         observers=[failing, Curious()],
         health=health,
         extras={"failing": failing.run},

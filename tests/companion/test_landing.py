@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from companion.base.containment import RESTART
 from companion.base.mission import Event, FlightOutcome, Reason, ReasonCause, State
 from companion.guidance.controller import Knowledge
 from companion.guidance.landing import LandingGuidance, PilotOptions
@@ -25,7 +26,6 @@ from companion.guidance.mission.progress import VesselPosition
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import ClimbResponse, GuidanceOptions
-from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, Verdict
 from estimator.contracts.geometry import GeoPoint, Rotation, moved
@@ -498,7 +498,7 @@ def test_a_pad_is_known_again_after_a_silence_in_which_no_other_one_can_have_com
     clock, diary = VirtualClock(), ObservedCalls()
     vehicle = Filmed(clock, pads, height_m)
     pilot = Pilot(EYES, EstimatorOptions(), GuidanceOptions())
-    daemon = Daemon(vehicle.open, pilot, clock, DaemonSetup(RestartOptions(), 50.0), observers=[diary])
+    daemon = Daemon(vehicle.open, pilot, clock, DaemonSetup(RESTART, 50.0), observers=[diary])
     asyncio.run(fly(daemon, vehicle, clock, ENDS_S))
     verdicts = [(f.frame.stamp.measured_at * 1e-9, f.verdict) for f in diary.frames]
     before, silent, after = ([v for t, v in verdicts if a < t < b] for a, b in ((0.5, 1.2), (1.3, 2.38), (2.45, ENDS_S)))

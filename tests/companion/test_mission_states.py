@@ -13,7 +13,7 @@ from companion.guidance.controller import HORIZONS_S, Impact, Knowledge
 from companion.guidance.mission.another_pad import OtherPad
 from companion.guidance.mission.commit import Commit
 from companion.guidance.mission.gate import Gate, gate_of
-from companion.guidance.mission.machine import PHASES, TABLES, account
+from companion.guidance.mission.machine import MISSIONS, PHASES, TABLES, account
 from companion.guidance.mission.progress import Attempt, GuidanceCycle, InputQuality, Progress, arrow_turned, entered
 from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
@@ -56,11 +56,12 @@ def cycle(relative: Any = None, *, impact: Impact | None = None, **more: Any) ->
 
 def first(p: Progress, s: GuidanceCycle, o: GuidanceOptions = OPTIONS) -> tuple[Event, Reason] | None:
     """Return the event that changes the state, with its reason."""
-    return next(((e, why) for e, why in PHASES[p.state].events(p, s, o) if TABLES[o.mission][p.state][e] is not p.state), None)
+    happens, leads = MISSIONS[o.mission][p.state].events(p, s, o), TABLES[o.mission][p.state]
+    return next(((event, why) for event, why in happens if leads[event] is not p.state), None)
 
 
 def of(event: Event, p: Progress, s: GuidanceCycle, o: GuidanceOptions = OPTIONS) -> Reason | None:
-    return next((why for kind, why in PHASES[p.state].events(p, s, o) if kind is event), None)
+    return next((why for kind, why in MISSIONS[o.mission][p.state].events(p, s, o) if kind is event), None)
 
 
 AGO = [

@@ -197,7 +197,7 @@ def test_events_that_undo_each_other_do_not_hold_the_cycle_up(monkeypatch: pytes
     why = Reason(ReasonCause.OPERATOR)
     both = machine.PHASES[State.DESCEND]._replace(events=lambda *_: [(Event.OUT_OF_CONE, why), (Event.IN_CONE, why)])
     phases = {state: both._replace(ways=machine.PHASES[state].ways) for state in (State.DESCEND, State.INTERCEPT)}
-    monkeypatch.setattr(machine, "PHASES", machine.PHASES | phases)
+    monkeypatch.setattr(machine, "MISSIONS", {"cone": machine.PHASES | phases})
     cycle = GuidanceCycle(ns(1), Knowledge(ns(1), estimate(1.0, (0.0, 0.0, 3.0))))
     p, _, changes = mission_step(in_state(State.DESCEND), cycle, OPTIONS)
     assert [change.target for change in changes] == [State.INTERCEPT, State.DESCEND] * 2

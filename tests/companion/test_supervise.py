@@ -18,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.base import event_loop
-from companion.base.containment import contain, keep_alive, run
-from companion.base.health import Health
+from companion.base.containment import RESTART, contain, keep_alive, run
+from companion.base.health import Health, Histogram
 from companion.base.http_server import HttpServer
-from companion.base.loop_lag import HELD_S, STOOD_S, Lags, LoopWatch
+from companion.base.loop_lag import HELD_S, LAG_EDGES_S, STOOD_S, LoopWatch
 from companion.base.memory import GroundedCollector, no_full_collections
 from companion.base.observer import Decision, Observer
 from companion.base.watchdog import Manager, Pulse, stuck, watchdog_interval_s
@@ -34,9 +34,9 @@ from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import HttpSettings
 from companion.settings.load import camera_model
-from companion.settings.service import RestartOptions
 from companion.tools.replay.recorded_log import log_of
 from drivers.clock import SystemClock
+from drivers.reconnect import BackOff
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between
@@ -65,7 +65,7 @@ async def test_a_recoverable_failure_restarts_that_part_alone_with_growing_rests
     async def strong() -> None:
         lives["strong"] += 1
 
-    await run({"weak": weak, "strong": strong}, RestartOptions(0.2, 2.0, 1.0, 5.0), health, clock)
+    await run({"weak": weak, "strong": strong}, BackOff(0.2, 1.0, 5.0), health, clock)
     assert lives == {"weak": 6, "strong": 1}
     assert clock.slept == [0.2, 0.4, 0.8, 1.0, 1.0]
     assert (health.parts["weak"].restarts, health.parts["weak"].last_error) == (5, "cable")
@@ -84,7 +84,7 @@ async def test_a_part_that_was_healthy_for_long_rests_shortly_again() -> None:
         if lives < 5:
             raise Recoverable("gone")
 
-    await keep_alive("part", body, RestartOptions(0.1, 2.0, 9.0, 5.0), Health(clock), clock)
+    await keep_alive("part", body, BackOff(0.1, 9.0, 5.0), Health(clock), clock)
     assert clock.slept == [0.1, 0.2, 0.1, 0.2]
 
 
@@ -104,7 +104,7 @@ async def test_a_bug_or_a_cancellation_that_nobody_requested_takes_everything_do
             stopped.set()
 
     with pytest.raises(ExceptionGroup) as caught:
-        await run({"buggy": buggy, "innocent": innocent}, RestartOptions(), Health(clock), clock)
+        await run({"buggy": buggy, "innocent": innocent}, RESTART, Health(clock), clock)
     assert caught.value.subgroup(found) is not None
     assert stopped.is_set()
 
@@ -129,7 +129,7 @@ def test_a_vital_part_whose_task_calls_sys_exit_ends_loudly_after_the_others_hav
 
     clock = SleepingClock()
     with pytest.raises(ExceptionGroup) as caught:
-        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, RestartOptions(), Health(clock), clock))
+        event_loop.run(run({"vehicle": vehicle, "guidance": guidance}, RESTART, Health(clock), clock))
     assert [str(why) for why in caught.value.exceptions] == ["vehicle called sys.exit(0)"]
     assert ended == ["guidance"]
 
@@ -149,7 +149,7 @@ async def test_a_part_beside_the_flight_that_does_not_end_is_abandoned(caplog: p
         await asyncio.sleep(0)
 
     before = asyncio.all_tasks()
-    await run({"vital": vital}, RestartOptions(), Health(SleepingClock()), SleepingClock(), beside={"stubborn": stubborn})
+    await run({"vital": vital}, RESTART, Health(SleepingClock()), SleepingClock(), beside={"stubborn": stubborn})
     assert swallowed == 1
     assert "stubborn did not end within 1.0 s and is abandoned" in caplog.text
     swallowed = 1000
@@ -170,7 +170,7 @@ async def test_the_vital_parts_have_ended_before_the_others_are_ordered_to() -> 
     ended = asyncio.Event()
     asyncio.get_running_loop().call_soon(ended.set)
     parts, clock = {"vehicle": lambda: part("vehicle")}, SleepingClock()
-    await run(parts, RestartOptions(), Health(clock), clock, until=ended, beside={"mqtt": lambda: part("mqtt")})
+    await run(parts, RESTART, Health(clock), clock, until=ended, beside={"mqtt": lambda: part("mqtt")})
     assert output == ["vehicle", "mqtt"]
 
 
@@ -180,7 +180,7 @@ async def test_a_failing_part_has_one_traceback_in_the_log_however_often_it_fail
     async def body() -> None:
         raise KeyError("ours")
 
-    await contain("mqtt", body, RestartOptions(), health, SleepingClock())
+    await contain("mqtt", body, RESTART, health, SleepingClock())
     assert sum(record.exc_info is not None for record in caplog.records) == 1
     assert health.contained["mqtt"] == 10
     assert health.fault(of_flight=True) is None
@@ -264,7 +264,7 @@ def test_the_interpreter_starts_no_full_collection_while_the_service_runs() -> N
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=300), st.floats(0.01, 1.0))
 def test_a_quantile_is_known_to_five_percent(values: list[float], q: float) -> None:
-    lags = Lags()
+    lags = Histogram(LAG_EDGES_S)
     for value in values:
         lags.add(value)
     ordered = sorted(values)
@@ -399,7 +399,7 @@ def watched(
 ) -> Daemon:
     health = Health(CLOCK)
     pulse = Pulse(Manager(address), health, CLOCK, lambda: bool(pilot.vehicle and pilot.vehicle.flying), interval_s)
-    setup = DaemonSetup(RestartOptions(0.01, 1.0, 0.01, 5.0), 50.0)
+    setup = DaemonSetup(BackOff(0.01, 0.01, 5.0, 1.0), 50.0)
     extras = {"manager": pulse.run}
     return Daemon(vehicle.open, pilot, CLOCK, setup, observers=(*more, pulse), health=health, extras=extras)
 

@@ -23,12 +23,12 @@ import numpy as np
 import pytest
 from msgspec import Struct
 
+from companion.base.containment import RESTART
 from companion.cli.main import COMMANDS, main
 from companion.parts.operator.client import socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.load import from_mapping, load
-from companion.settings.service import RestartOptions
 from estimator.contracts.commands import Command, CutMotors, Land, Lean, LeaveEmergency, TakeOff, Velocity
 from estimator.contracts.samples import VehicleStatus
 from estimator.contracts.time import Stamp, after
@@ -108,7 +108,7 @@ class Service:
         self.drone = Drone(self.clock)
         pilot = SeeingPilot(self.drone)
         served = OperatorSocket(path, pilot, self.clock)
-        setup = DaemonSetup(RestartOptions(), 50.0)
+        setup = DaemonSetup(RESTART, 50.0)
         self.daemon = Daemon(self.drone.open, pilot, self.clock, setup, observers=[served], extras={"operator": served.run})
         self._ticks = 0
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.containment import RESTART
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
 from companion.cli import demo
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
@@ -91,7 +91,7 @@ class LateClock(VirtualClock):
 @pytest.mark.parametrize(("clock", "late_s"), [(VirtualClock(), 0.0), (LateClock(), 0.05)])
 def test_the_daemon_measures_how_late_guidance_comes(clock: VirtualClock, late_s: float) -> None:
     vehicle = FakeFlight(clock)
-    daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonSetup(RestartOptions(), 50.0, health_period_s=0.0))
+    daemon = Daemon(vehicle.open, SeeingPilot(vehicle), clock, DaemonSetup(RESTART, 50.0, health_period_s=0.0))
     asyncio.run(fly(daemon, vehicle, clock, 5.2))
     assert daemon.health.too_slow == ("this computer is too slow: guidance is 49 ms late" if late_s else None)
     stage = daemon.health.snapshot().stages["guidance_late"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.base.containment import run
+from companion.base.containment import RESTART, run
 from companion.base.health import Health
 from companion.base.observer import Decision
 from companion.parts.mqtt.connection import renewed_endpoint
@@ -20,7 +20,6 @@ from companion.parts.mqtt.outbox import Outbox
 from companion.parts.mqtt.part import CommandHandler, MqttPart
 from companion.parts.mqtt.spool import Spool
 from companion.settings import files
-from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Command, Velocity
 from estimator.contracts.estimates import RelativeState
@@ -79,7 +78,7 @@ async def running(settings: MqttSettings, folder: Path, session: str = SESSION) 
     part = MqttPart(settings, renewed_endpoint(settings), outbox, command_handler, health, clock, version="1.2.3")
     ended = asyncio.Event()
     async with asyncio.TaskGroup() as group:
-        group.create_task(run({"mqtt": part.run}, RestartOptions(), health, clock, until=ended))
+        group.create_task(run({"mqtt": part.run}, RESTART, health, clock, until=ended))
         try:
             yield RunningPart(part, health, operator, clock, spool)
         finally:

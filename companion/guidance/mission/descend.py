@@ -13,10 +13,10 @@ import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import contact, limits, rules, thesis
-from companion.guidance.mission.phase import STAYS, TRY, Phase, not_lower, over_pad, waits_m
+from companion.guidance.mission import contact, limits, rules
+from companion.guidance.mission.phase import STAYS, TRY, Phase, clear_m, not_lower, over_pad, waits_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
-from companion.guidance.mission.rules import EventWithReason
+from companion.guidance.mission.rules import Bar, ByEstimate, EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions
 from estimator.contracts.commands import Command
@@ -49,11 +49,20 @@ def descent_rate_m_s(error_m: float, height_m: float, options: ConeOptions, ends
     return min(rate, max(ends_m_s, tapered) if tapered > 0.0 else tapered)
 
 
-def _over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+def _in_cone(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+    if inside(error_m, height_m, o.cone) and (rules.bars_descent(p, s, o) or s.thing) is None:
+        yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, limits.radius_m(height_m, o.cone))
+
+
+def over(
+    p: Progress, s: GuidanceCycle, o: GuidanceOptions, arrives: ByEstimate = _in_cone, sinks: Bar = rules.sank
+) -> Iterator[rules.EventWithReason]:
+    """Yield what happens over the pad, by what finds that it has arrived, and that it sinks."""
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
-    if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
+    if (limit := rules.try_over(p, s, o) or sinks(p, s, o)) is not None:
         yield Event.LIMIT, limit
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s, s.thing)
     if (estimate := rules.fit_estimate(p, s, o)) is None:
@@ -62,15 +71,20 @@ def _over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWi
         error_m = limits.beside_m(estimate, s.knowledge)
         if inside(error_m, estimate.height_m, o.cone):
             yield Event.ARRIVED, Reason(ReasonCause.ARRIVED, error_m, limits.radius_m(estimate.height_m, o.cone))
-    elif o.mission == "thesis":
-        yield from thesis.over_pad(s, o, estimate)
     else:
-        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
-        if inside(error_m, height_m, o.cone) and (rules.bars_descent(p, s, o) or s.thing) is None:
-            yield Event.IN_CONE, Reason(ReasonCause.ARRIVED, error_m, limits.radius_m(height_m, o.cone))
+        yield from arrives(p, s, o, estimate)
 
 
-def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+def _at_gate(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+    if limits.outside(error_m, height_m, o.cone):
+        yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
+    if height_m <= o.cone.gate_m + _AT_GATE_M:
+        yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
+
+
+def down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, arrives: ByEstimate = _at_gate) -> Iterator[rules.EventWithReason]:
+    """Yield what happens on the way down, by what finds its end."""
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
@@ -79,14 +93,8 @@ def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWi
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s)
     if (estimate := rules.fit_estimate(p, s, o)) is None:
         yield from rules.sight_lost(p, s, o)
-    elif o.mission == "thesis":
-        yield from thesis.down(s, o, estimate)
     else:
-        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
-        if limits.outside(error_m, height_m, o.cone):
-            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
-        if height_m <= o.cone.gate_m + _AT_GATE_M:
-            yield Event.AT_GATE, Reason(ReasonCause.LOW_ENOUGH, height_m, o.cone.gate_m)
+        yield from arrives(p, s, o, estimate)
 
 
 def _target_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
@@ -107,27 +115,30 @@ def _target_down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Re
     return Target(over, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
-def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
-    # An intercept keeps its height over the deck until it is in the cone; only the thesis' flies to a height of its own.
-    lower = p.state is State.DESCEND or o.mission == "thesis"
-    return command if lower and unfit(s.estimate, s.at, o.stale_after_s) is None else not_lower(command, p, s, o)
+def _keeps_height(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    return not_lower(command, p, s, o, clear_m(s, o))
+
+
+def lower_in_sight(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
+    """Return the controller's command while the pad is in sight, else as `not_lower` allows it."""
+    return command if unfit(s.estimate, s.at, o.stale_after_s) is None else not_lower(command, p, s, o)
 
 
 PHASES = {
     State.INTERCEPT: Phase(
         "Flying over the pad at height.",
         {**TRY, Event.CONTACT: State.PRESS, Event.IN_CONE: State.DESCEND, Event.ARRIVED: State.STAY},
-        _over,
-        over_pad(_target_over, lambda s, o: o.thesis.approach_height_m),
+        over,
+        over_pad(_target_over),
         rules.spend,
-        _allows,
+        _keeps_height,
     ),
     State.DESCEND: Phase(
         "Descending in the cone over the pad.",
         {**TRY, **STAYS, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.INTERCEPT, Event.AT_GATE: State.GATE},
-        _down,
-        over_pad(_target_down, lambda s, o: o.thesis.final_height_m),
+        down,
+        over_pad(_target_down),
         rules.spend,
-        _allows,
+        lower_in_sight,
     ),
 }

@@ -13,10 +13,10 @@ from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import contact, limits, rules, thesis
+from companion.guidance.mission import contact, limits, rules
 from companion.guidance.mission.phase import STAYS, TRY, Phase, lower_if_agreed, over_pad, waits_m
-from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
-from companion.guidance.mission.rules import EventWithReason
+from companion.guidance.mission.progress import GuidanceCycle, Progress
+from companion.guidance.mission.rules import Bar, ByEstimate, EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs, seconds_between
@@ -48,9 +48,9 @@ def gate_of(p: Progress) -> Gate:
     return p.kept if isinstance(p.kept, Gate) else Gate()
 
 
-def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
-    """Note what keeps the gate shut, and since when nothing does."""
-    p, gate, shut = rules.spend(p, s, o), gate_of(p), _blocked(p, s, o)
+def note(p: Progress, s: GuidanceCycle, o: GuidanceOptions, bars: Bar = rules.bars_commit) -> Progress:
+    """Note what bars the way through the gate, and since when nothing does."""
+    p, gate, shut = rules.spend(p, s, o), gate_of(p), bars(p, s, o)
     if shut is None:
         return structs.replace(
             p, kept=structs.replace(gate, blocked=None, good_since=s.at if gate.good_since is None else gate.good_since)
@@ -63,14 +63,16 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return structs.replace(p, kept=structs.replace(gate, blocked=shut, good_since=None), refusing=refusing)
 
 
-def _blocked(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    if o.mission != "thesis":
-        return rules.bars_commit(p, s, o)
-    lost = unfit(s.estimate, s.at, o.stale_after_s)
-    return lost if lost is not None or s.estimate is None else thesis.bars_gate(s.estimate, o) or s.unseen
+def _leaves(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Iterator[EventWithReason]:
+    height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
+    if limits.outside(error_m, height_m, o.cone) or height_m > o.cone.gate_m + _OVER_GATE_M:
+        yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
 
 
-def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
+def events(
+    p: Progress, s: GuidanceCycle, o: GuidanceOptions, leaves: ByEstimate, dwell_s: float
+) -> Iterator[rules.EventWithReason]:
+    """Yield what happens at the gate, by what finds that the drone has left it, and the time for which all must be good."""
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
@@ -81,13 +83,7 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Event
     if (estimate := rules.fit_estimate(p, s, o)) is None:
         yield from rules.sight_lost(p, s, o)
         return
-    if o.mission == "thesis":
-        yield from thesis.left_gate(estimate, o)
-    else:
-        height_m, error_m = estimate.height_m, limits.beside_m(estimate, s.knowledge)
-        if limits.outside(error_m, height_m, o.cone) or height_m > o.cone.gate_m + _OVER_GATE_M:
-            yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(height_m, o.cone))
-    dwell_s = o.thesis.final_dwell_s if o.mission == "thesis" else o.cone.gate_dwell_s
+    yield from leaves(p, s, o, estimate)
     if gate.good_since is not None and seconds_between(gate.good_since, s.at) >= dwell_s:
         yield Event.GATE_OPEN, Reason(ReasonCause.ALL_LIMITS_HOLD)
 
@@ -102,9 +98,9 @@ PHASES = {
     State.GATE: Phase(
         "Following the deck just above it until every limit holds.",
         {**TRY, **STAYS, Event.CONTACT: State.PRESS, Event.OUT_OF_CONE: State.DESCEND, Event.GATE_OPEN: State.COMMIT},
-        _events,
-        over_pad(_target, lambda s, o: o.thesis.final_height_m),
-        _note,
+        lambda p, s, o: events(p, s, o, _leaves, o.cone.gate_dwell_s),
+        over_pad(_target),
+        note,
         lower_if_agreed,
     ),
 }

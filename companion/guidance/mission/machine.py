@@ -38,7 +38,7 @@ from types import MappingProxyType
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, ORDERED, Event, Reason, ReasonCause, State, StateChange
-from companion.guidance import targets
+from companion.guidance import targets, thesis
 from companion.guidance.controller import Target
 from companion.guidance.mission import (
     another_pad,
@@ -52,7 +52,6 @@ from companion.guidance.mission import (
     press,
     search,
     stay,
-    thesis,
     waiting,
 )
 from companion.guidance.mission.charge import battery_ends, last_landing
@@ -70,10 +69,9 @@ from estimator.contracts.total_table import total
 
 _STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad, land_here)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
-_LED = targets.phases(PHASES)
-_CONE: Mapping[State, Row] = {state: phase.ways for state, phase in PHASES.items()}
+MISSIONS = MappingProxyType({"cone": PHASES, "thesis": thesis.phases(PHASES), "targets": targets.phases(PHASES)})
 TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
-    {"cone": total(_CONE, Event), "thesis": total(thesis.ways(_CONE), Event), "targets": total(targets.ways(_CONE), Event)}
+    {name: total({state: phase.ways for state, phase in phases.items()}, Event) for name, phases in MISSIONS.items()}
 )
 
 Transitions = tuple[StateChange, ...]
@@ -92,7 +90,7 @@ _LEAN_SETTLES_S = 10.0
 
 def phase_of(state: State, o: GuidanceOptions) -> Phase:
     """Return the phase of a state in the mission that the settings choose."""
-    return (_LED if o.mission == "targets" else PHASES)[state]
+    return MISSIONS[o.mission][state]
 
 
 def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, Aim, Transitions]:

@@ -145,19 +145,13 @@ def looks_upwind(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Velocity 
 
 def over_pad(
     target: Callable[[Progress, GuidanceCycle, GuidanceOptions, RelativeState], Target],
-    thesis_m: Callable[[GuidanceCycle, GuidanceOptions], float],
 ) -> Callable[[Progress, GuidanceCycle, GuidanceOptions], Aimed]:
-    """Return an aim at a target by the estimate, or at the thesis' way point of this height; without an estimate it stays."""
+    """Return an aim at a target by the estimate; without one it stays."""
 
     def aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
         if s.estimate is None:
             return still(p, s, o)
-        if o.mission == "thesis":
-            over, speed = np.array([o.thesis.pad_ahead_m, 0.0, thesis_m(s, o)]), o.thesis.speed_m_s
-            found = Target(over, vertical_rate_max_m_s=speed, speed_max_m_s=speed)
-        else:
-            found = target(p, s, o, s.estimate)
-        return p, replace(found, yaw_rad=turn_rad(s, o, s.estimate))
+        return p, replace(target(p, s, o, s.estimate), yaw_rad=turn_rad(s, o, s.estimate))
 
     return aim
 
@@ -175,7 +169,7 @@ def turn_rad(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> f
 def waits_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the deck at which it may wait for the forecast waves, m."""
     # A forecast of more than any swell that was watched is one of which nothing is known: no reason to climb without end.
-    return min(o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS), max(o.cone.gate_m, _clear_m(s, o)))
+    return min(o.cone.gate_m + rise_beyond_climb_m(s.knowledge, WAITING_SIGMAS), max(o.cone.gate_m, clear_m(s, o)))
 
 
 def agreed(s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -189,18 +183,20 @@ def lower_if_agreed(command: Command, p: Progress, s: GuidanceCycle, o: Guidance
     return command if lower else not_lower(command, p, s, o)
 
 
-def not_lower(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:
-    """Return the controller's command as far as what is known of the pad allows it: no lower without need and sight."""
+def not_lower(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions, needs_m: float | None = None) -> Command:
+    """Return the controller's command as far as what is known of the pad allows it: no lower without need and sight.
+
+    Args:
+        needs_m: height over the deck that it keeps, m; None for that of the place which it holds, if it holds one.
+    """
     fit = fit_to_steer(s.estimate, s.at, o.stale_after_s) and agreed(s, o)
     command = never_lower(command, s, fit=fit)
     estimate = usable(s, o)
     if estimate is None:
         return command
-    if p.state is State.INTERCEPT and o.mission != "thesis":
-        needs_m = _clear_m(s, o)
-    elif p.held is None or p.state in _CLIMBS_WHERE_HELD:
-        return command
-    else:
+    if needs_m is None:
+        if p.held is None or p.state in _CLIMBS_WHERE_HELD:
+            return command
         needs_m = _held_height_m(p, p.held, s, o)
     # Out of sight only a height that is surely there counts.
     sure_m = estimate.height_m - (0.0 if fit else 2.0 * math.sqrt(estimate.cov.item(2, 2)))
@@ -248,7 +244,7 @@ def _following_less(command: Command, s: GuidanceCycle, over_m: float, falling_o
     return descending(command, down_m_s * max(0.0, 1.0 - beyond_m / _FREE_M))
 
 
-def _clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+def clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the deck that no swell takes from a drone which climbs before it, m."""
     return o.tries.safe_height_m + s.knowledge.outrun_m
 
@@ -256,8 +252,8 @@ def _clear_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
 def _held_height_m(p: Progress, held: F64, s: GuidanceCycle, o: GuidanceOptions) -> float:
     """Return the height over the deck up to which a held vehicle follows it, m."""
     if p.state in _REFUSED:
-        return _clear_m(s, o)
-    return min(_clear_m(s, o), max(float(held[2]), min(o.tries.safe_height_m, waits_m(s, o))))
+        return clear_m(s, o)
+    return min(clear_m(s, o), max(float(held[2]), min(o.tries.safe_height_m, waits_m(s, o))))
 
 
 def _in_present_axes(held: F64, yaw_rad: float | None, estimate: RelativeState) -> F64:

@@ -5,8 +5,7 @@ take, and for as long as the descent goes on. In wind it presses on for less, wi
 deck while its rotors carry a part of the weight. Motors stop by force only where the deck was felt and another witness finds it
 there; otherwise the vehicle's own landing does it. An autopilot's works over the ground, and a deck under way slides from under
 it: an autopilot presses on with the deck until it feels it, or goes around. A vehicle that is in the air again, or below the
-deck, goes around, but no more often than `BOUNCES_MOST` times: then it stays down. The thesis' way comes to DOWN in the air, and
-its own rules end it.
+deck, goes around, but no more often than `BOUNCES_MOST` times: then it stays down.
 A landing where it is never goes around: it goes down again (LAND_HERE). Without sight it takes a second instrument that felt it,
 or that it stays held up where the deck may be. To an autopilot's own landing it is left only while it is held up, or at last.
 """
@@ -19,11 +18,11 @@ from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
-from companion.guidance.mission import contact, held_up, limits, rules, thesis
+from companion.guidance.mission import contact, held_up, limits, rules
 from companion.guidance.mission.land_here import felt_by, sees_heave, trusted
 from companion.guidance.mission.phase import AROUND, CALLED_OFF, LANDING, Aimed, Phase, descending
 from companion.guidance.mission.progress import BOUNCES_MOST, GuidanceCycle, Progress, unfit
-from companion.guidance.mission.rules import Events, EventWithReason
+from companion.guidance.mission.rules import Bar, Events, EventWithReason
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Land, Lean, Velocity
 from estimator.contracts.geometry import wrap_pi
@@ -106,21 +105,22 @@ def off_deck(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None
     return Reason(ReasonCause.OFF_DECK, estimate.height_m, most_m) if surely_m > most_m else None
 
 
-def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+def past_deck(p: Progress, s: GuidanceCycle) -> Reason | None:
+    """Return that it is below the deck: it was swept off the pad, and would go down into the water."""
     past_m = 0.0 if s.estimate is None else -s.estimate.height_m
-    if past_m > _BELOW_DECK_M and p.here is None:
-        # It was swept off the pad, and would go down into the water.
-        return Reason(ReasonCause.PAST_DECK, past_m)
-    if p.state is State.DOWN and not _touched(p, o):
-        return thesis.ends_landing(p, s, o)
-    return None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o)
+    return Reason(ReasonCause.PAST_DECK, past_m) if past_m > _BELOW_DECK_M and p.here is None else None
+
+
+def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
+    return past_deck(p, s) or (None if p.bounces >= BOUNCES_MOST else off_deck(p, s, o))
 
 
 def _presses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
     in_state_s, way_s = p.in_state_s(s.at), p.kept.way_s if isinstance(p.kept, Press) else 0.0
     press_s = o.cone.press_s * (_PRESS_IN_WIND if s.wind is not None and s.wind.drags else 1.0)
     press_s = max(o.cone.press_s + press_s if _rises(s) else press_s, way_s)
-    sure = not _presses_until_felt(p, s, o) or _felt(p, s, o)
+    # The own landing of a vehicle that holds over the ground is none for a deck under way.
+    sure = not s.hold.over_ground or _felt(p, s, o)
     if p.here is not None and in_state_s >= _CONFIRMED_S and p.asked_at is not None:
         sure = sure or _is_held(s) or seconds_between(p.asked_at, s.at) > _AT_LAST_S
     if in_state_s >= press_s and sure and not contact.descends(s, o):
@@ -130,16 +130,17 @@ def _presses(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[Even
     yield from rules.time_over(in_state_s, o.cone.press_s + o.cone.commit_s)
 
 
-def _tipped(p: Progress, s: GuidanceCycle) -> bool:
+def tipped(p: Progress, s: GuidanceCycle) -> bool:
     """Return whether it lies there: it neither goes around nor asks whose deck it is."""
     return s.tipped is not None or (p.reason is not None and p.reason.cause is ReasonCause.TIPPED)
 
 
-def _stops(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[EventWithReason]:
-    if _tipped(p, s):
+def stops(p: Progress, s: GuidanceCycle, o: GuidanceOptions, bars: Bar = _limit) -> Iterator[EventWithReason]:
+    """Yield what happens while it is to stop its motors, by what finds that it must not."""
+    if tipped(p, s):
         return
     yield from rules.other_pad(p, s, o)
-    if (limit := _limit(p, s, o)) is not None:
+    if (limit := bars(p, s, o)) is not None:
         yield Event.LIMIT, limit
     if (spent_s := p.in_state_s(s.at)) > o.land_timeout_s:
         yield Event.TIMEOUT, Reason(ReasonCause.NO_LANDING, spent_s, o.land_timeout_s)
@@ -167,12 +168,12 @@ def _press(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if estimate is None or estimate.alerts or s.unflown:
         # A vehicle of which nothing fit is known is not held on a deck that falls: it lands by itself, and no motor is stopped by
         # force before it has pressed.
-        felt = _touched(p, o) and estimate is None and _felt(p, s, o)
-        if not felt and _presses_until_felt(p, s, o):
+        felt = estimate is None and _felt(p, s, o)
+        if not felt and s.hold.over_ground:
             return p, Velocity(np.array([0.0, 0.0, o.cone.commit_rate_m_s]), 0.0)
         return p, Land(on_deck=felt)
     level = np.array(estimate.d_body_pad_level)
-    if _presses_until_felt(p, s, o) and _felt(p, s, o):
+    if s.hold.over_ground and _felt(p, s, o):
         # Leaning on one foot, it is turned about that by the wind; level with weight on all feet, it neither turns nor slides.
         return p, Target(level, descent_rate_m_s=_FELT_M_S, lean_max_rad=0.0)
     # Level in wind, it would be dragged to lee for as long as its rotors carry a part of the weight.
@@ -181,19 +182,9 @@ def _press(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
 
 
 def _down(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
-    felt = _tipped(p, s) or (_touched(p, o) and _felt(p, s, o))
-    presses = not felt and p.here is None and _presses_until_felt(p, s, o)
+    felt = tipped(p, s) or _felt(p, s, o)
+    presses = not felt and p.here is None and s.hold.over_ground
     return _press(p, s, o) if presses else (p, Land(on_deck=felt))
-
-
-def _touched(p: Progress, o: GuidanceOptions) -> bool:
-    """Return whether it came here by a contact: the thesis' way ends in the air."""
-    return o.mission != "thesis" or p.here is not None
-
-
-def _presses_until_felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
-    """Return whether the vehicle's own landing is none for a deck under way: it holds over the ground."""
-    return s.hold.over_ground and _touched(p, o)
 
 
 def _felt(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
@@ -224,7 +215,7 @@ def _pressing(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOption
         return command
     deck_m_s = 0.0 if s.knowledge.deck is None else s.knowledge.deck.v_level.item(2)
     yaw_rad = None if s.estimate is None or o.tries.heading != "align" else s.estimate.yaw_rad
-    if _presses_until_felt(p, s, o) and _felt(p, s, o):
+    if s.hold.over_ground and _felt(p, s, o):
         # A foot that is held turns it faster than the law's gain for the air turns it back.
         turn_rad = 0.0 if yaw_rad is None else max(-_TURN_MOST_RAD, min(_TURN_MOST_RAD, -wrap_pi(yaw_rad)))
         command = structs.replace(command, yaw_rate_rad_s=_TURN_1_S * turn_rad, on_deck_turn_rad=turn_rad)
@@ -244,7 +235,7 @@ PHASES = {
     State.DOWN: Phase(
         "Ordering the vehicle to stop its motors, in every cycle.",
         _DOWN,
-        _goes_down(_stops),
+        _goes_down(stops),
         _down,
         allows=_pressing,
     ),

@@ -18,6 +18,10 @@ from estimator.contracts.time import seconds_between
 EventWithReason = tuple[Event, Reason]
 Events = Callable[[Progress, GuidanceCycle, GuidanceOptions], Iterator[EventWithReason]]
 """A function that yields what happens in a guidance cycle, the most important first."""
+ByEstimate = Callable[[Progress, GuidanceCycle, GuidanceOptions, RelativeState], Iterator[EventWithReason]]
+"""The same by an estimate that is fit to land by."""
+Bar = Callable[[Progress, GuidanceCycle, GuidanceOptions], Reason | None]
+"""A function that returns what bars a way, or None."""
 Row = Mapping[Event, State]
 """The states that events lead to; an event that is not named leaves the state as it is."""
 
@@ -97,7 +101,7 @@ def reaches_deck(estimate: RelativeState | None, s: GuidanceCycle, o: GuidanceOp
 
 def sank(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     """Return that a drone which keeps its height sinks onto the deck; None while it does not."""
-    if o.mission == "thesis" or p.since is None or s.estimate is None or not reaches_deck(s.estimate, s, o, _ENDS_S):
+    if p.since is None or s.estimate is None or not reaches_deck(s.estimate, s, o, _ENDS_S):
         return None
     sank_m = p.entered_height_m - s.estimate.height_m
     return Reason(ReasonCause.SANK_AGAINST, sank_m, round(seconds_between(p.since, s.at), 1)) if sank_m >= _SANK_M else None

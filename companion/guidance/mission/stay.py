@@ -28,12 +28,13 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return replace(p, attempt=p.attempt.stayed(s.at), landing_began=s.at)
 
 
-def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[rules.EventWithReason]:
+def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions, sinks: rules.Bar = rules.sank) -> Iterator[rules.EventWithReason]:
+    """Yield what happens during the wait, by what finds that the drone sinks from its height."""
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
     if s.battery is not None and charge.battery_ends(s.battery, o):
         yield Event.HOPELESS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
-    if (limit := rules.try_over(p, s, o) or rules.sank(p, s, o)) is not None:
+    if (limit := rules.try_over(p, s, o) or sinks(p, s, o)) is not None:
         yield Event.LIMIT, limit
     stayed_s = p.attempt.spent_s.get(State.STAY, 0.0)
     yield from rules.time_over(stayed_s, o.stay_s, Reason(ReasonCause.STAYED, stayed_s, o.stay_s))
@@ -45,12 +46,13 @@ def _events(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Iterator[rules
         yield Event.OUT_OF_CONE, Reason(ReasonCause.OUT_OF_CONE, error_m, limits.radius_m(estimate.height_m, o.cone))
 
 
-def _height_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+def height_m(s: GuidanceCycle, o: GuidanceOptions) -> float:
+    """Return the height over the deck at which it waits, m."""
     return max(o.stay_height_m, waits_m(s, o))
 
 
 def _target(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
-    over = np.array([*s.knowledge.aim_level, _height_m(s, o)])
+    over = np.array([*s.knowledge.aim_level, height_m(s, o)])
     return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 
@@ -64,8 +66,8 @@ PHASES = {
             Event.TIMEOUT: State.PAUSED,
             Event.OUT_OF_CONE: State.INTERCEPT,
         },
-        _events,
-        over_pad(_target, _height_m),
+        events,
+        over_pad(_target),
         _note,
         lower_if_agreed,
     ),

@@ -10,5 +10,5 @@ from estimator.uvlc import UvlcDecoder
 
 def make_vehicle(service: Assembly) -> VehicleParts:
     """Return the AR.Drone of the settings."""
-    options, items = ardrone_options(service.settings.vehicle), service.settings.service.sample_queue_items
-    return VehicleParts(partial(open_ardrone, options, service.clock, items, UvlcDecoder(), service.health.failed))
+    options = ardrone_options(service.settings.vehicle)
+    return VehicleParts(partial(open_ardrone, options, service.clock, UvlcDecoder(), service.health.failed))

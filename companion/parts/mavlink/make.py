@@ -206,7 +206,6 @@ class AutopilotPart:
         self._options = vehicle
         self._authority = authority_of(settings.guidance)
         self._endpoints = signed_links(vehicle)
-        self._sample_queue_items = settings.service.sample_queue_items
         self.component = Component(
             Outputs(
                 settings.landing_target, pilot.pad.disc_radius_m, settings.guidance.stale_after_s, self._lead(settings.guidance)
@@ -250,7 +249,6 @@ class AutopilotPart:
             self._clock,
             self._endpoints,
             parameters=PARAMETERS,
-            sample_queue_items=self._sample_queue_items,
             waits=isinstance(self._clock, SystemClock),  # in virtual time the kernel's instants would be another clock's
             authority=self._authority,
         )
@@ -267,7 +265,7 @@ class AutopilotPart:
     def joined(self, made_of: type[Link]) -> tuple[Autopilot, tuple[Repeated, ...]]:
         """Return the autopilot at links that carry messages in a simulation, and all the work that is left to do there."""
         links = links_of(self._options, self._clock, self._endpoints, waits=True, made_of=made_of)
-        autopilot = Autopilot(self._options, links, self._clock, PARAMETERS, self._sample_queue_items, self._authority)
+        autopilot = Autopilot(self._options, links, self._clock, PARAMETERS, self._authority)
         return autopilot, (*autopilot.work, *self._join(autopilot))
 
     def _join(self, autopilot: Autopilot) -> tuple[Repeated, ...]:

@@ -41,6 +41,7 @@ from estimator.contracts.errors import BadInput, Recoverable
 INCOMING = 64
 """The number of incoming messages that may wait before further ones are discarded."""
 _LARGEST_BYTES = 65_536  # the largest packet that is taken
+_KEEPALIVE_S = 4  # keep-alive interval; a dead connection is noticed within twice that time
 _FAREWELL_S = 1.0  # time to end the connection in order
 _NO_TLS = ("WRONG_VERSION_NUMBER", "PACKET_LENGTH_TOO_LONG")
 """OpenSSL's reasons where the other end answers in plain TCP."""
@@ -98,7 +99,6 @@ class BrokerEndpoint(Struct, frozen=True):
     password: str | None
     tls: ssl.SSLContext | None
     mqtt5: bool
-    keepalive_s: int
     timeout_s: float
 
     @staticmethod
@@ -115,7 +115,6 @@ class BrokerEndpoint(Struct, frozen=True):
             files.text(settings.password_file, "mqtt.password_file"),
             tls_context(settings),
             settings.protocol == "5",
-            settings.keepalive_s,
             settings.timeout_s,
         )
 
@@ -156,7 +155,7 @@ class Connection(aiomqtt.Client):
             will=will,
             clean_session=None if endpoint.mqtt5 else True,
             timeout=endpoint.timeout_s,
-            keepalive=endpoint.keepalive_s,
+            keepalive=_KEEPALIVE_S,
             max_queued_incoming_messages=incoming,
             properties=properties,
             tls_context=endpoint.tls,

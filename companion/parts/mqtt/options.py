@@ -44,9 +44,6 @@ class MqttSettings(PartTable, frozen=True, forbid_unknown_fields=True):
     state_hz: Annotated[float, number("state messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     sighting_hz: Annotated[float, number("most sighting messages a second; 0 for none", "Hz", 0.0, 50.0)] = 5.0
     health_hz: Annotated[float, number("health messages a second; 0 for none", "Hz", 0.0, 10.0)] = 1.0
-    keepalive_s: Annotated[
-        int, number("keep-alive interval; a dead connection is noticed within twice that time", "s", 2, 600)
-    ] = 4
     timeout_s: Annotated[
         float, number("time limit for an answer of the broker; after it the connection is opened again", "s", 0.2, 60.0)
     ] = 5.0

@@ -7,6 +7,7 @@ from typing import Literal
 
 import msgspec
 
+from companion.base.containment import RESTART
 from companion.base.health import Health
 from companion.base.observer import Observer
 from companion.cycle.ports import Assembly, VehicleLink
@@ -43,7 +44,7 @@ class FlightDaemon:
             self._open,
             pilot,
             clock,
-            DaemonSetup(settings.service, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
+            DaemonSetup(RESTART, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
             observers=observers,
             health=health,
         )

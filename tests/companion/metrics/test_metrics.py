@@ -16,8 +16,8 @@ from companion.base.health import Health
 from companion.base.http_server import ConnectionLimits, HttpServer
 from companion.parts.metrics.endpoint import MetricsEndpoint, text
 from companion.settings.links import HttpSettings
-from companion.settings.service import RestartOptions
 from drivers.clock import SystemClock
+from drivers.reconnect import BackOff
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
 from tests.support.clocks import SteppedClock
@@ -97,7 +97,7 @@ async def serve(health: Health, limits: ConnectionLimits | None = None, token_fi
     over = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(
-            run({}, RestartOptions(0.01, 1.0, 0.01, 5.0), health, SystemClock(), until=over, beside={"http": endpoint.run})
+            run({}, BackOff(0.01, 0.01, 5.0, 1.0), health, SystemClock(), until=over, beside={"http": endpoint.run})
         )
         await until(lambda: endpoint.port is not None)
         try:

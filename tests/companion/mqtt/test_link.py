@@ -149,7 +149,7 @@ async def test_the_shipped_broker_configuration_serves_a_drone_that_has_its_user
 
 
 async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
+    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 5.0), "x", None, 1)
     sent = SimpleNamespace(rc=0, mid=1, is_published=lambda: False)
     monkeypatch.setattr(connection._client, "publish", lambda *_: sent)
     async with asyncio.TaskGroup() as group:
@@ -162,7 +162,7 @@ async def test_a_cancellation_that_comes_with_the_answer_is_not_swallowed(monkey
 
 
 async def test_a_socket_that_closes_before_the_loop_watches_it_is_left_alone(caplog: pytest.LogCaptureFixture) -> None:
-    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 10, 5.0), "x", None, 1)
+    connection = Connection(BrokerEndpoint("nowhere", 1, None, None, None, True, 5.0), "x", None, 1)
     for end in socket.socketpair():
         connection._on_socket_register_write(None, None, end)
         end.close()
