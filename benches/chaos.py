@@ -430,8 +430,8 @@ async def beside_ardrone(around: Around, stack: ExitStack, happens: Callable[[],
     )
     await until(lambda: len(seen.commands) > 60, "its commands")
     await happens()
-    for contact in read_truth(truth)[-1]["contacts"]:
-        if not contact["on_pad"]:
+    for contact in read_truth(truth)[-1].contacts:
+        if not contact.on_pad:
             seen.unsafe = "touched beside the pad"
 
 

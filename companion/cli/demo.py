@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from msgspec import Struct, structs
 
@@ -35,11 +34,11 @@ from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, Recoverable, file_errors, refused
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.ardrone.state import GENERATIONS
-from sitl.emulators.ardrone.truth_log import contact_of
 from sitl.emulators.ardrone.truth_log import read as read_truth
 from sitl.flight.ending import Ending, Load
 from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.scenario import load as load_scenario
+from sitl.world.truth import Truth
 
 _READY_S = 120.0  # longest time until the simulated vehicle has started
 _REPORT_S = 7.0
@@ -125,8 +124,8 @@ async def _demo(args: argparse.Namespace, scenario: Scenario, place: HttpSetting
                     await asyncio.sleep(_SETTLE_S)
                     await drone.aclose()
                 truth = read_truth(truth_path)
-                for line in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
-                    kept.keep(kept_flight.truth_from_log(line))
+                for one in (*truth[:-1:_KEEP_EACH], *truth[-1:]):
+                    kept.keep(one)
                 ending = _ending(args, outcome, seconds_between(began, ended), truth, daemon.health, child)
                 if stopped:
                     ending = structs.replace(ending, without_outcome="stopped by a person")
@@ -215,12 +214,11 @@ def _ending(
     args: argparse.Namespace,
     outcome: FlightOutcome | None,
     duration_s: float,
-    truth: list[dict[str, Any]],
+    truth: list[Truth],
     health: Health,
     drone: _Child,
 ) -> Ending:
-    contacts = tuple(map(contact_of, truth[-1]["contacts"] if truth else ()))
-    started = MonoNs(truth[0]["at_ns"]) if truth else MonoNs(0)
+    contacts, started = (truth[-1].contacts, truth[0].at) if truth else ((), MonoNs(0))
     delays = health.delays.get("guidance_late")
     late_s = None if delays is None else delays.quantiles(0.5)[0]
     load = Load(drone.frames_due, drone.frames_sent, drone.stood_still_s, health.frames, late_s)

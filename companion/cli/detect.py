@@ -18,7 +18,7 @@ from typing import get_args
 
 import cv2
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from companion.cli.options import named_wait, option, tell_damage
@@ -157,36 +157,16 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args.method, args.colours)
     asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
     drawings = {} if args.draw is None else _drawings(args.draw, files, force=args.force)
-    frames = found = sure = ambiguous = unreadable = mirrored = 0
-    untried, level = _MIRROR_TRIES, list[str]()
+    counts, unreadable = _Counts(), 0
     if not args.json:
         sys.stdout.write(_HEADER)
     for file in files:
+        trackers = [
+            TrackerConfig(models[file].camera, models[file].pad, of, second_opinion=asked, watches=False) for of in options
+        ]
         try:
-            camera, pad = models[file].camera, models[file].pad
-            trackers = [TrackerConfig(camera, pad, of, second_opinion=asked, watches=False) for of in options]
-            memories = [TrackerMemory()] * len(trackers)
-            for image in _images(file, models[file]):
-                attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
-                level += [] if attitude else [f"{image.source}#{image.index}"]
-                frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
-                if not frames:  # The first look sets the pad up, and all code that it runs is cold: neither is a look's time.
-                    with named_wait(f"setting up the pad {pad.name}"):
-                        _best(frame, attitude, trackers, memories)
-                began = time.perf_counter()
-                seen, colours, memories = _best(frame, attitude, trackers, memories)
-                elapsed_ms = (time.perf_counter() - began) * 1e3
-                frames += 1
-                found += _is_sure(seen, _FOUND)
-                ambiguous += seen.selected is not None and seen.selected.yaw_ambiguous
-                sure += _is_sure(seen)
-                if untried and not _is_sure(seen):
-                    untried -= 1
-                    turned = TrackerConfig(camera, pad, search_work=FRAME_WORK)
-                    mirror = Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
-                    mirrored += _is_sure(track(turned, TrackerMemory(), mirror, None)[0])
-                record = _record(image, seen, colours, elapsed_ms)
-                o = seen.opinions
+            for image, seen, colours, elapsed_ms in _searched(args, _images(file, models[file]), trackers, tilts, counts):
+                record, o = _record(image, seen, colours, elapsed_ms), seen.opinions
                 opinions = "" if o is None else f"  verified {o.verified:.2f}, learned {o.learned:.2f}"
                 line = f"{_line(image, seen)} {elapsed_ms:6.1f}{opinions}"
                 sys.stdout.write((json.dumps(record) if args.json else line) + "\n")
@@ -196,19 +176,70 @@ def run(args: argparse.Namespace) -> int:
             unreadable += 1
             sys.stdout.flush()
             sys.stderr.write(f"decklander: {why}\n")
-    if tilts and level:
-        named = f"{', '.join(level[:_NAMED])}{' ...' * (len(level) > _NAMED)}"
-        sys.stderr.write(f"decklander: {args.attitude} has no row for {len(level)} of {frames} frames, taken as level: {named}\n")
-    if frames and not args.json:
-        doubtful = "? the pad looks alike from several sides: its heading may be another\n" if ambiguous else ""
-        sys.stdout.write(f"{doubtful}found in {found} of {frames} frames\n")
-    if mirrored > sure:
+    _conclude(args, counts, attitudes=bool(tilts))
+    return 2 if unreadable else int(not counts.found)
+
+
+class _Counts(Struct):
+    """What was found in all frames so far."""
+
+    frames: int = 0
+    found: int = 0
+    sure: int = 0
+    ambiguous: int = 0
+    mirrored: int = 0
+    untried: int = _MIRROR_TRIES
+    """Number of frames without a sure pad that are still searched for a mirrored one."""
+    level: list[str] = field(default_factory=list)
+    """Frames without an attitude, taken as level."""
+
+
+def _searched(
+    args: argparse.Namespace,
+    found: Iterator[_Image],
+    trackers: Sequence[TrackerConfig],
+    tilts: Mapping[str, Rotation],
+    counts: _Counts,
+) -> Iterator[tuple[_Image, Detection, str | None, float]]:
+    """Search the images of a file in their order, and yield each with what it shows, its colour limits and the time, ms."""
+    memories = [TrackerMemory()] * len(trackers)
+    for image in found:
+        attitude = _attitude(tilts, image, math.radians(args.attitude_sigma_deg)) or image.attitude
+        counts.level += [] if attitude else [f"{image.source}#{image.index}"]
+        frame = Frame(_STAMP, image.index, image.px, coded=image.coded)
+        if not counts.frames:  # The first look sets the pad up, and all code that it runs is cold: neither is a look's time.
+            with named_wait(f"setting up the pad {trackers[0].pad.name}"):
+                _best(frame, attitude, trackers, memories)
+        began = time.perf_counter()
+        seen, colours, memories = _best(frame, attitude, trackers, memories)
+        elapsed_ms = (time.perf_counter() - began) * 1e3
+        counts.frames += 1
+        counts.found += _is_sure(seen, _FOUND)
+        counts.sure += _is_sure(seen)
+        counts.ambiguous += seen.selected is not None and seen.selected.yaw_ambiguous
+        if counts.untried and not _is_sure(seen):
+            counts.untried -= 1
+            turned = TrackerConfig(trackers[0].camera, trackers[0].pad, search_work=FRAME_WORK)
+            mirror = Frame(frame.stamp, frame.seq, np.ascontiguousarray(frame.px[:, ::-1]), coded=frame.coded)
+            counts.mirrored += _is_sure(track(turned, TrackerMemory(), mirror, None)[0])
+        yield image, seen, colours, elapsed_ms
+
+
+def _conclude(args: argparse.Namespace, counts: _Counts, *, attitudes: bool) -> None:
+    """Print in how many frames the pad was found, and what a person should know of the others."""
+    if attitudes and counts.level:
+        named = f"{', '.join(counts.level[:_NAMED])}{' ...' * (len(counts.level) > _NAMED)}"
+        share = f"{len(counts.level)} of {counts.frames} frames"
+        sys.stderr.write(f"decklander: {args.attitude} has no row for {share}, taken as level: {named}\n")
+    if counts.frames and not args.json:
+        doubtful = "? the pad looks alike from several sides: its heading may be another\n" if counts.ambiguous else ""
+        sys.stdout.write(f"{doubtful}found in {counts.found} of {counts.frames} frames\n")
+    if counts.mirrored > counts.sure:
         sys.stdout.flush()
         sys.stderr.write(
-            f"decklander: {mirrored} frames show the pad mirrored, and no drone lands by such: turn off the mirror "
+            f"decklander: {counts.mirrored} frames show the pad mirrored, and no drone lands by such: turn off the mirror "
             "(horizontal flip) of the camera, its driver or its pipeline\n"
         )
-    return 2 if unreadable else int(not found)
 
 
 def _found(text: str) -> Path:

@@ -18,7 +18,7 @@ from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from companion.base.health import Health
 from companion.base.mission import State
@@ -30,7 +30,6 @@ from companion.settings.load import body_camera
 from companion.settings.model import Settings
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import PathName
-from estimator.contracts.geometry import Rotation
 from estimator.contracts.time import MonoNs, seconds_between
 
 if TYPE_CHECKING:
@@ -135,12 +134,12 @@ class KeptFlight:
     def _keep(self, truth: Truth) -> None:
         for observer in self.held_back:
             observer.begin()
-        self.keep(truth_record(truth))
+        self.keep(truth)
 
-    def keep(self, record: TruthRecord) -> None:
+    def keep(self, truth: Truth) -> None:
         """Keep the true state of one instant."""
         if self.recorder is not None:
-            self.recorder.on_truth(record)
+            self.recorder.on_truth(_truth_record(truth))
 
 
 @contextmanager
@@ -191,7 +190,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def truth_record(truth: Truth) -> TruthRecord:
+def _truth_record(truth: Truth) -> TruthRecord:
     """Return the record of the simulator's truth."""
     touchdown = None if truth.touchdown is None else _contact(truth.touchdown)
     d, v = truth.d_body_pad_level.tolist(), truth.v_pad_level.tolist()
@@ -199,19 +198,6 @@ def truth_record(truth: Truth) -> TruthRecord:
     return TruthRecord(
         int(truth.at), d, v, truth.yaw_rad, truth.phase.name.lower(), touchdown, body, pad, truth.p_pad_ned.tolist()
     )
-
-
-def truth_from_log(record: Mapping[str, Any]) -> TruthRecord:
-    """Return the record of one line of the simulated drone's truth log (`sitl.emulators.ardrone.truth_log`)."""
-    touched = record["touchdown"]
-    touchdown = None if touched is None else ContactRecord(touched["at"], *(touched[n] for n in _CONTACT))
-    yaw = math.remainder(record["yaw_rad"], math.tau)
-    d, v = ([float(x) for x in record[name]] for name in ("d_body_pad_level_m", "v_pad_level_m_s"))
-    body, pad = (Rotation.from_quat(record[f"quat_ned_{name}_wxyz"]).matrix.ravel().tolist() for name in ("body", "pad"))
-    return TruthRecord(record["at_ns"], d, v, yaw, record["phase"], touchdown, body, pad, record["p_pad_ned_m"])
-
-
-_CONTACT = ("surface", "on_pad", "lateral_m", "yaw_rad", "vertical_speed_m_s", "lateral_speed_m_s")
 
 
 def _contact(t: Touchdown) -> ContactRecord:

@@ -9,7 +9,7 @@ import os
 import secrets
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 from msgspec import Struct
@@ -195,27 +195,26 @@ async def meet(endpoint: Endpoint, current: SigningKey | None, system: int | Non
     """
     met: Met | None = None
     async with _opened(endpoint, current, clock) as links:
-        first: MonoNs | None = None
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                async for received in links.received:
-                    message = received.message
-                    if message.get_type() != "HEARTBEAT" or system not in (None, received.system):
-                        continue
-                    if is_autopilot(message, received.component):
-                        armed = bool(message.base_mode & ARMED)
-                        met = Met(
-                            received.system, received.component, stack_of(message).value, armed, _is_signed(received),
-                            bool(received.message.get_msgbuf()[0] == mav.PROTOCOL_MARKER_V1),
-                        )  # fmt: skip
-                        first = clock.now() if first is None else first
-                        if not met.old_version or seconds_between(first, clock.now()) > _CHANGES_OVER_S:
-                            return met
-        except TimeoutError:
-            pass
+                first: MonoNs | None = None
+                async for met in _heartbeats(links, system):
+                    first = clock.now() if first is None else first
+                    if not met.old_version or seconds_between(first, clock.now()) > _CHANGES_OVER_S:
+                        return met
         if met is None:
             raise Recoverable(_silence(links, endpoint, current))
     return met
+
+
+async def _heartbeats(links: Links, system: int | None) -> AsyncIterator[Met]:
+    """Yield the autopilot of each heartbeat, of this system id if one is given."""
+    async for received in links.received:
+        message = received.message
+        if message.get_type() == "HEARTBEAT" and system in (None, received.system) and is_autopilot(message, received.component):
+            old_version = bool(message.get_msgbuf()[0] == mav.PROTOCOL_MARKER_V1)
+            armed = bool(message.base_mode & ARMED)
+            yield Met(received.system, received.component, stack_of(message).value, armed, _is_signed(received), old_version)
 
 
 async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key: SigningKey | None, clock: Clock) -> None:
@@ -230,15 +229,12 @@ async def send_key(endpoint: Endpoint, current: SigningKey | None, to: Met, key:
 async def observe(endpoint: Endpoint, key: SigningKey | None, of: Met, clock: Clock, seconds: float) -> bool:
     """Return whether the autopilot now signs with this key; without a key, whether it signs no more."""
     async with _opened(endpoint, key, clock) as links:
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 async for received in links.received:
-                    if (received.system, received.component) == (of.system, of.component) and _is_signed(received) is (
-                        key is not None
-                    ):
+                    its = (received.system, received.component) == (of.system, of.component)
+                    if its and _is_signed(received) is (key is not None):
                         return True
-        except TimeoutError:
-            pass
     return False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import math
 import re
@@ -12,13 +13,13 @@ import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import resvg_py
+from aiohttp import web
 
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, named_wait, option, print_result
@@ -208,44 +209,37 @@ def clicked(photo: bytes, tell: Callable[[str], None]) -> F64:
         photo: as the browser reads it, JPEG or PNG.
         tell: is given the address of the page, which cannot be guessed.
     """
-    secret, found = secrets.token_urlsafe(16), list[F64]()
-    answers = {
-        f"/{secret}/": (_PAGE.read_text(encoding="utf-8").replace("NAMES", json.dumps(_CORNERS)).encode(), "text/html"),
-        f"/{secret}/photo": (photo, ""),
-    }
+    return asyncio.run(_four_corners(photo, tell))
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            body, kind = answers.get(self.path, (b"", ""))
-            self._answer(HTTPStatus.OK if body else HTTPStatus.NOT_FOUND, body, kind)
 
-        def do_POST(self) -> None:
-            length = self.headers.get("Content-Length", "")
-            if self.path != f"/{secret}/corners" or not length.isdecimal() or int(length) > _MOST_BYTES:
-                return self._answer(HTTPStatus.NOT_FOUND)
-            try:
-                found.append(corners_of(self.rfile.read(int(length))))
-            except ValueError as why:
-                return self._answer(HTTPStatus.BAD_REQUEST, str(why).encode())
-            return self._answer(HTTPStatus.OK)
+async def _four_corners(photo: bytes, tell: Callable[[str], None]) -> F64:
+    found: asyncio.Future[F64] = asyncio.get_running_loop().create_future()
+    page = _PAGE.read_text(encoding="utf-8").replace("NAMES", json.dumps(_CORNERS))
 
-        def _answer(self, status: HTTPStatus, body: bytes = b"", kind: str = "") -> None:
-            self.send_response(status)
-            self.send_header("Content-Length", str(len(body)))
-            self.send_header("Cache-Control", "no-store")
-            if kind:
-                self.send_header("Content-Type", kind)
-            self.end_headers()
-            self.wfile.write(body)
+    async def corners(request: web.Request) -> web.Response:
+        try:
+            at = corners_of(await request.read())
+        except ValueError as why:
+            return web.Response(status=HTTPStatus.BAD_REQUEST, text=str(why))
+        if not found.done():
+            found.set_result(at)
+        return web.Response()
 
-        def log_message(self, format: str, *args: object) -> None:
-            pass
+    async def shown(request: web.Request) -> web.Response:
+        answer = web.Response(body=photo) if request.path.endswith("photo") else web.Response(text=page, content_type="text/html")
+        answer.headers["Cache-Control"] = "no-store"
+        return answer
 
-    with HTTPServer(("127.0.0.1", 0), Handler) as server:
-        tell(f"http://127.0.0.1:{server.server_address[1]}/{secret}/")
-        while not found:
-            server.handle_request()
-    return found[0]
+    app, base = web.Application(client_max_size=_MOST_BYTES), f"/{secrets.token_urlsafe(16)}/"
+    app.add_routes([web.get(base, shown), web.get(f"{base}photo", shown), web.post(f"{base}corners", corners)])
+    runner = web.AppRunner(app, access_log=None)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        tell(f"http://127.0.0.1:{runner.addresses[0][1]}{base}")
+        return await found
+    finally:
+        await runner.cleanup()
 
 
 _PAD = "thesis"

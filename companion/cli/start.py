@@ -46,10 +46,13 @@ VEHICLES = {
 USUAL_PAD = "thesis"
 """The pad of the examples: an A4 printer prints it in parts."""
 PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
-_OWN_LINK = ("sim", "ardrone1", "ardrone2")
-"""Vehicles whose address and camera are known."""
 _ARDRONE = ("192.168.1.1", 5554)
 """An AR.Drone's address in its own network, and its port of navdata."""
+_OWN_LINK = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
+"""Addresses of the vehicles whose address and camera are known."""
+_OWN_CAMERA = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}
+"""Camera files of the same vehicles."""
+_USUAL_LINK, _USUAL_CAMERA = "serial:///dev/ttyAMA0:921600", "usb_640x480"
 _NAVDATA_S = 1.5  # time in which an AR.Drone that is in reach answers
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
@@ -58,6 +61,10 @@ _STACKS = {"ArduPilot": "ardupilot", "PX4": "px4"}
 _UNIT_FOLDER, _UNIT_STORE = Path("/etc/decklander"), Path("/etc/credstore")
 """Folders of the unit's settings and of its credentials: it runs as a user of its own, who cannot read root's files."""
 _SERIAL = ("/dev/serial/by-id/*", "/dev/serial0", "/dev/ttyAMA0")
+
+
+Ask = Callable[[str, dict[str, str], str], str]
+"""Returns one of some answers, by the name of the question, the answers with their meaning, and the usual one."""
 
 
 class Answers(Struct, frozen=True):
@@ -127,32 +134,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _answers(args: argparse.Namespace) -> Answers:
     ask = (lambda _what, _among, usual: usual) if args.yes else _ask
-    received = [] if args.link or args.vehicle in _OWN_LINK else found_vehicles()
-    vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
+    vehicle, link, answered = _vehicle(args, ask)
     flies_itself = vehicle in _OWN_LINK
-    link = args.link or next((one.link for one in received if one.name == vehicle), "")
-    if args.link and not flies_itself:
-        with refused(f"--link {link}", ValueError):
-            options = AutopilotOptions(link)
-        there = "" if args.no_doctor else _STACKS.get(event_loop.run(_stack_at(options)), "")
-        if there and there != vehicle:
-            sys.stdout.write(f"at {link} is {VEHICLES[there]}, not {VEHICLES[vehicle]}: docs/{there}.md is its page\n")
-            vehicle = there
-    if not link:
-        own = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
-        link = own.get(vehicle, "serial:///dev/ttyAMA0:921600")
-        if not flies_itself:
-            sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
-    usb = [] if flies_itself else [one for one in cameras() if one.index == 0]
-    device = "vehicle" if flies_itself else args.camera or ""
-    if not device:
-        on_board = {f"libcamera:{model}": "a Raspberry Pi's own camera" for model in ([] if flies_itself else libcamera_models())}
-        names = on_board | {str(one.path): one.card for one in usb} or {"usb": "the one USB camera, once it is plugged in"}
-        device = ask("camera", names, next(iter(names)))
+    device = "vehicle" if flies_itself else args.camera or _camera(ask)
     if device.count(".") == 3 and not device.strip("0123456789.:"):
         raise BadInput(f"--camera {device} is no camera: a stream has an address as rtsp://{device}/PATH")
-    shipped = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}.get(vehicle, "usb_640x480")
-    find_file(args.camera_file or shipped, "cameras", args.out.parent, "--camera-file")
+    camera_file = args.camera_file or _OWN_CAMERA.get(vehicle, _USUAL_CAMERA)
+    find_file(camera_file, "cameras", args.out.parent, "--camera-file")
     pad = args.pad or USUAL_PAD
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
     place = args.where or ask("place", PLACES, "indoors" if flies_itself else "outdoors")
@@ -160,8 +148,34 @@ def _answers(args: argparse.Namespace) -> Answers:
     page, port = ("", Answers.port) if page == "off" else listening(page, "--page")
     channel = args.switch
     if channel is None:
-        channel = _switch(link) if received and not args.yes else 0
-    return Answers(vehicle, link, device, args.camera_file or shipped, pad, place, page, port, channel)
+        channel = _switch(link) if answered and not args.yes else 0
+    return Answers(vehicle, link, device, camera_file, pad, place, page, port, channel)
+
+
+def _vehicle(args: argparse.Namespace, ask: Ask) -> tuple[str, str, bool]:
+    """Return the vehicle, its link or address, and whether a vehicle answers."""
+    received = [] if args.link or args.vehicle in _OWN_LINK else found_vehicles()
+    vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
+    if args.link and vehicle not in _OWN_LINK:
+        with refused(f"--link {args.link}", ValueError):
+            options = AutopilotOptions(args.link)
+        there = "" if args.no_doctor else _STACKS.get(event_loop.run(_stack_at(options)), "")
+        if there and there != vehicle:
+            sys.stdout.write(f"at {args.link} is {VEHICLES[there]}, not {VEHICLES[vehicle]}: docs/{there}.md is its page\n")
+            vehicle = there
+    link = args.link or next((one.link for one in received if one.name == vehicle), _OWN_LINK.get(vehicle, ""))
+    if not link:
+        link = _USUAL_LINK
+        sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
+    return vehicle, link, bool(received)
+
+
+def _camera(ask: Ask) -> str:
+    """Ask for one of the cameras of this computer."""
+    names = {f"libcamera:{model}": "a Raspberry Pi's own camera" for model in libcamera_models()}
+    names |= {str(one.path): one.card for one in cameras() if one.index == 0}
+    names = names or {"usb": "the one USB camera, once it is plugged in"}
+    return ask("camera", names, next(iter(names)))
 
 
 async def _stack_at(options: AutopilotOptions, seconds: float = 1.5) -> str:

@@ -44,21 +44,27 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else middle - half), (1.0 if successes == trials else middle + half)
 
 
-def _unsafe(flight: Flight, *begins: str) -> bool:
-    return any(line.startswith(begins) for line in flight["unsafe"])
+_OVERRULED = ("strayed_m", "rose_m", "held_sank_m", "lands_late", "disobeyed_s", "unordered")
+_HARD = ("into_deck_m_s", "along_deck_m_s", "contact_tilt_deg")
+
+
+def _over(flight: Flight, *counts: str) -> bool:
+    """Return whether the referee counted more of one of these than its limit."""
+    counted = flight.get("referee") or {}
+    return any(value > most for value, most in (counted[name] for name in counts if name in counted))
 
 
 RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (
     ("the flight raised an error", lambda f: f["outcome"] == ERROR),
-    ("the service died in flight", lambda f: _unsafe(f, "the service died")),
+    ("the service died in flight", lambda f: _over(f, "died")),
     ("in the water", lambda f: bool(f["in_water"])),
-    ("came down without sight of the pad", lambda f: _unsafe(f, "came down")),
+    ("came down without sight of the pad", lambda f: _over(f, "blind_m", "unreached_m")),
     (
         "struck the deck beside the pad, then landed on the pad",
         lambda f: bool(f["landed_on_pad"]) and any(not contact["on_pad"] for contact in f["contacts"]),
     ),
-    ("a person was overruled", lambda f: _unsafe(f, "a person ordered", "nobody ordered it")),
-    ("touched the pad harder than it bears", lambda f: _unsafe(f, "a foot struck the pad", "touched the pad")),
+    ("a person was overruled", lambda f: _over(f, *_OVERRULED)),
+    ("touched the pad harder than it bears", lambda f: _over(f, *_HARD) and any(c["surface"] == "pad" for c in f["contacts"])),
     ("landed beside the pad", lambda f: f["outcome"] == "landed" and f["touchdown"] is not None and not f["touchdown"]["on_pad"]),
     ("struck the deck beside the pad and did not land", lambda f: any(not contact["on_pad"] for contact in f["contacts"])),
     ("gave up, though it should land", lambda f: f["outcome"] == "gave up"),
@@ -69,12 +75,8 @@ RULES: tuple[tuple[str, Callable[[Flight], bool]], ...] = (
 
 def cause_of(flight: Flight) -> str:
     """Return the cause of a failed flight."""
-    for name, fits in RULES:
-        if fits(flight):
-            # Why the pilot gave up, without the figures that differ from flight to flight.
-            reason = re.sub(r" (at|after|for) -?\d+(\.\d+)? \w+", "", str(flight["refused"] or "").partition(";")[0])
-            return f"{name}: {reason}" if reason and name.startswith("gave up") else name
-    return f"ended otherwise: {flight['outcome']}"
+    name = next((name for name, fits in RULES if fits(flight)), f"ended otherwise: {flight['outcome']}")
+    return ": ".join((name, *_refusal(flight))) if name.startswith("gave up") else name
 
 
 def severity(flight: Flight) -> int:

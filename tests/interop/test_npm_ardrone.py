@@ -120,8 +120,8 @@ async def test_it_takes_off_sees_and_lands(mode: str, tmp_path: Path) -> None:
     assert video["gaps"] <= len(video["errors"])
 
     truths = truth_log.read(truth)
-    assert {t["phase"] for t in truths} == {"landed", "taking_off", "hovering", "flying", "landing"}
-    assert max(-t["p_body_ned_m"][2] + t["p_pad_ned_m"][2] for t in truths) > 0.5
-    touchdown = truths[-1]["touchdown"]
-    assert touchdown["surface"] in ("pad", "deck")
-    assert 0.0 < touchdown["vertical_speed_m_s"] < 1.0
+    assert {t.phase.name.lower() for t in truths} == {"landed", "taking_off", "hovering", "flying", "landing"}
+    assert max(t.p_pad_ned[2] - t.p_body_ned[2] for t in truths) > 0.5
+    touchdown = truths[-1].touchdown
+    assert touchdown.surface in ("pad", "deck")
+    assert 0.0 < touchdown.vertical_speed_m_s < 1.0

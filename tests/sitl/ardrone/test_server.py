@@ -217,10 +217,10 @@ async def test_the_truth_log_holds_each_hundredth_of_a_second_in_this_hosts_time
         await until(lambda: world.now - began > 500_000_000)
     records, ended = truth_log.read(path), SystemClock().now()
     assert len(records) >= 40
-    assert all(began <= r["at_ns"] <= ended for r in records)
-    assert np.median(np.diff([r["at_ns"] for r in records])) == pytest.approx(10e6, rel=0.01)
+    assert all(began <= r.at <= ended for r in records)
+    assert np.median(np.diff([r.at for r in records])) == pytest.approx(10e6, rel=0.01)
     with path.open("a") as f:
-        f.write('{"at_ns": 1, "cut')
+        f.write('{"at": 1, "cut')
     assert len(truth_log.read(path)) == len(records)
     with path.open("a") as f:
         f.write("\n")
@@ -296,7 +296,7 @@ def test_it_ends_when_ordered_and_leaves_the_whole_truth(how: str, tmp_path: Pat
     assert ended["phase"] == "hovering"
     assert ended["stood_still_s"] >= 0.0
     records = truth_log.read(truth)
-    assert all(r["at_ns"] >= ready["started_ns"] for r in records)
+    assert all(r.at >= ready["started_ns"] for r in records)
 
 
 @pytest.mark.parametrize(

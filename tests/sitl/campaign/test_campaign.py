@@ -296,12 +296,12 @@ def test_each_failure_has_the_cause_of_the_first_rule_that_fits() -> None:
     away: dict[str, Any] = {"landed_on_pad": False, "touchdown": None, "contacts": []}
     cases: dict[str, dict[str, Any]] = {
         "the flight raised an error": flown(RAISES),
-        "the service died in flight": {"unsafe": ["the service died in flight: KeyError"]},
-        "in the water": {"in_water": True, "unsafe": ["came down 2 m"]},
-        "came down without sight of the pad": {"unsafe": ["came down 0.8 m, to 0.2 m over the deck, without true sight"]},
+        "the service died in flight": {"referee": {"died": [1, 0]}},
+        "in the water": {"in_water": True, "referee": {"blind_m": [2.0, 0.5]}},
+        "came down without sight of the pad": {"referee": {"blind_m": [0.8, 0.5]}},
         "struck the deck beside the pad, then landed on the pad": {"contacts": [off, *fine["contacts"]]},
-        "a person was overruled": {"unsafe": ["a person ordered hold, and was sent: move, still 0.4 s later"]},
-        "touched the pad harder than it bears": {"unsafe": ["a foot struck the pad at 1.29 m/s"]},
+        "a person was overruled": {"referee": {"disobeyed_s": [0.4, 0.3]}},
+        "touched the pad harder than it bears": {"referee": {"into_deck_m_s": [1.29, 1.0]}},
         "landed beside the pad": {"landed_on_pad": False, "touchdown": off, "contacts": [off]},
         "struck the deck beside the pad and did not land": {**away, "outcome": "gave up", "contacts": [off]},
         "gave up, though it should land: no pad": {**away, "outcome": "gave up", "refused": "no pad at 0.1 m; frames"},
