@@ -48,8 +48,8 @@ EDGES_S = (
 """Upper edges of the histogram's buckets, s; longer durations lie above the last."""
 
 
-class Histogram(Struct):
-    """Durations counted by the edges of buckets, seconds."""
+class Delays(Struct):
+    """The durations of one stage, seconds: counted by the edges of buckets, and the newest of them."""
 
     edges_s: tuple[float, ...] = EDGES_S
     count: int = 0
@@ -59,6 +59,7 @@ class Histogram(Struct):
     worst_s: float = 0.0
     buckets: list[int] = field(default_factory=list)
     """Number of durations up to each edge and above the one before; the last is above all edges."""
+    _newest: deque[float] = field(default_factory=lambda: deque(maxlen=600))
 
     def __post_init__(self) -> None:
         self.buckets = [0] * (len(self.edges_s) + 1)
@@ -68,6 +69,7 @@ class Histogram(Struct):
         self.sum_s += seconds
         self.worst_s = max(self.worst_s, seconds)
         self.buckets[bisect_left(self.edges_s, seconds)] += 1
+        self._newest.append(seconds)
 
     def quantile(self, q: float) -> float:
         """Return the upper edge of the q-quantile's bucket, s, at most the worst; 0 before the first."""
@@ -77,16 +79,6 @@ class Histogram(Struct):
             if left <= 0.0:
                 return min(edge, self.worst_s)
         return self.worst_s
-
-
-class Delays(Histogram):
-    """The durations of one stage, seconds, with the newest of them."""
-
-    _newest: deque[float] = field(default_factory=lambda: deque(maxlen=600))
-
-    def add(self, seconds: float) -> None:
-        super().add(seconds)
-        self._newest.append(seconds)
 
     def quantiles(self, *qs: float) -> list[float | None]:
         """Return several quantiles of the newest, seconds, of one sort; None before the first value."""

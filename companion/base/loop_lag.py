@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
 
-from companion.base.health import Health, Histogram
+from companion.base.health import Delays, Health
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class LoopWatch:
         self._thread_beat_s = self._beat_s
         self._worked_s = 0.0
         self._stopped = threading.Event()
-        self.lags = Histogram(LAG_EDGES_S)
+        self.lags = Delays(LAG_EDGES_S)
         """All lags of one flight, s."""
         self.held = 0
         """The number of holds above `HELD_S`."""
@@ -112,7 +112,7 @@ class LoopWatch:
         """Take a lag by the monotonic clock, and how long the loop was away in all, suspended time included."""
         flying = self._flying()
         if flying and not self._flew:
-            self.lags = Histogram(LAG_EDGES_S)
+            self.lags = Delays(LAG_EDGES_S)
         self._flew = flying
         self.lags.add(late_s)
         self._health.delay(STAGE, late_s)

@@ -100,10 +100,9 @@ def _way_point(height_m: Callable[[GuidanceCycle, GuidanceOptions], float]) -> C
 
 def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
     """Return the phases of the thesis' mission, by those of the one in the cone."""
-    rows: dict[State, Row] = {}
-    for state, phase in cone.items():
-        touches = state in (State.COMMIT, State.LAND_HERE)
-        rows[state] = phase.ways if touches else {event: to for event, to in phase.ways.items() if event is not Event.CONTACT}
+    rows: dict[State, Row] = {state: phase.ways for state, phase in cone.items()}
+    for state in cone.keys() - {State.COMMIT, State.LAND_HERE}:
+        rows[state] = {event: to for event, to in rows[state].items() if event is not Event.CONTACT}
     rows[State.GATE] = {**rows[State.GATE], Event.GATE_OPEN: State.DOWN}
     rows[State.DOWN] = {**rows[State.DOWN], Event.OTHER_PAD: State.ANOTHER_PAD}
     own = {state: phase._replace(ways=rows[state]) for state, phase in cone.items()}

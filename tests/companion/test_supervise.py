@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from companion.base import event_loop
 from companion.base.containment import RESTART, contain, keep_alive, run
-from companion.base.health import Health, Histogram
+from companion.base.health import Delays, Health
 from companion.base.http_server import HttpServer
 from companion.base.loop_lag import HELD_S, LAG_EDGES_S, STOOD_S, LoopWatch
 from companion.base.memory import GroundedCollector, no_full_collections
@@ -264,7 +264,7 @@ def test_the_interpreter_starts_no_full_collection_while_the_service_runs() -> N
 
 @given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=300), st.floats(0.01, 1.0))
 def test_a_quantile_is_known_to_five_percent(values: list[float], q: float) -> None:
-    lags = Histogram(LAG_EDGES_S)
+    lags = Delays(LAG_EDGES_S)
     for value in values:
         lags.add(value)
     ordered = sorted(values)
