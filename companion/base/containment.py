@@ -199,17 +199,17 @@ class RestartablePart(Relay, Generic[Made]):
 Body = Callable[[], Awaitable[None]]
 
 
-async def keep_alive(name: str, body: Body, restart: BackOff, health: Health, clock: Clock) -> None:
+async def keep_alive(name: str, body: Body, waits: BackOff, health: Health, clock: Clock) -> None:
     """Run a vital `body` again after each `Recoverable`; anything else propagates. A body that returns has finished."""
 
     async def attempt() -> None:
         health.up(name)
         await uncancelled(name, body)
 
-    await reconnect(name, attempt, restart, clock, lambda why: health.down(name, why), (Recoverable,))
+    await reconnect(name, attempt, waits, clock, lambda why: health.down(name, why), (Recoverable,))
 
 
-async def contain(name: str, body: Body, restart: BackOff, health: Health, clock: Clock) -> None:
+async def contain(name: str, body: Body, waits: BackOff, health: Health, clock: Clock) -> None:
     """Run a `body` beside the flight again after any error. This raises nothing but its own cancellation.
 
     An error that does not come from the outside world (`Recoverable`, `OSError`) is logged with its traceback the first time, and
@@ -233,7 +233,7 @@ async def contain(name: str, body: Body, restart: BackOff, health: Health, clock
         if _cancelled():  # it failed while it was being cancelled
             report("%s failed while it ended", name, why=why)
             raise asyncio.CancelledError from why
-        if seconds_between(began, clock.now()) >= restart.healthy_after_s:
+        if seconds_between(began, clock.now()) >= waits.healthy_after_s:
             in_a_row = 0
         if not _of_the_world(why):
             in_a_row += 1
@@ -246,12 +246,12 @@ async def contain(name: str, body: Body, restart: BackOff, health: Health, clock
             return
         raise Recoverable(in_words(why)) from why
 
-    await reconnect(name, attempt, restart, clock, lambda why: health.down(name, why))
+    await reconnect(name, attempt, waits, clock, lambda why: health.down(name, why))
 
 
 async def run(
     parts: Mapping[str, Body],
-    restart: BackOff,
+    waits: BackOff,
     health: Health,
     clock: Clock,
     until: asyncio.Event | None = None,
@@ -270,12 +270,10 @@ async def run(
     """
     for name in parts:
         health.vital(name)
-    others = [
-        asyncio.create_task(contain(name, body, restart, health, clock), name=name) for name, body in (beside or {}).items()
-    ]
+    others = [asyncio.create_task(contain(name, body, waits, health, clock), name=name) for name, body in (beside or {}).items()]
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(keep_alive(name, body, restart, health, clock), name=name) for name, body in parts.items()]
+            tasks = [group.create_task(keep_alive(name, body, waits, health, clock), name=name) for name, body in parts.items()]
             if until is not None:
                 await until.wait()
                 for task in tasks:

@@ -73,7 +73,6 @@ class LoopWatch:
         self._worked_s = 0.0
         self._stopped = threading.Event()
         self.lags = Delays(LAG_EDGES_S)
-        """All lags of one flight, s."""
         self.held = 0
         """The number of holds above `HELD_S`."""
         self.stood_s = 0.0

@@ -5,14 +5,14 @@ contact, and from there only the time, a climb or a drift ends it. All else is a
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from companion.base.mission import Event, Reason, ReasonCause, State
 from companion.guidance.controller import Target
 from companion.guidance.mission import descend, gate, limits, press, stay
-from companion.guidance.mission.phase import Aimed, Phase, over_pad
+from companion.guidance.mission.phase import Phase, over_pad
 from companion.guidance.mission.progress import GuidanceCycle, Progress, unfit
 from companion.guidance.mission.rules import EventWithReason, Row
 from companion.settings.guidance import GuidanceOptions
@@ -88,14 +88,9 @@ def _ends(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     return Reason(ReasonCause.LOST_LOW, p.seen_height_m) if lost and p.seen_height_m > blind_below_m else None
 
 
-def _way_point(height_m: Callable[[GuidanceCycle, GuidanceOptions], float]) -> Callable[..., Aimed]:
-    """Return an aim at the way point of this height over the pad, m."""
-
-    def target(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
-        over, speed = np.array([o.thesis.pad_ahead_m, 0.0, height_m(s, o)]), o.thesis.speed_m_s
-        return Target(over, vertical_rate_max_m_s=speed, speed_max_m_s=speed)
-
-    return over_pad(target)
+def _way_point(o: GuidanceOptions, height_m: float) -> Target:
+    over, speed = np.array([o.thesis.pad_ahead_m, 0.0, height_m]), o.thesis.speed_m_s
+    return Target(over, vertical_rate_max_m_s=speed, speed_max_m_s=speed)
 
 
 def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
@@ -106,16 +101,17 @@ def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
     rows[State.GATE] = {**rows[State.GATE], Event.GATE_OPEN: State.DOWN}
     rows[State.DOWN] = {**rows[State.DOWN], Event.OTHER_PAD: State.ANOTHER_PAD}
     own = {state: phase._replace(ways=rows[state]) for state, phase in cone.items()}
-    over, at_last = _way_point(lambda s, o: o.thesis.approach_height_m), _way_point(lambda s, o: o.thesis.final_height_m)
-    down = cone[State.DOWN]
+    first = over_pad(lambda p, s, o, estimate: _way_point(o, o.thesis.approach_height_m))
+    at_last = over_pad(lambda p, s, o, estimate: _way_point(o, o.thesis.final_height_m))
     return {
         **own,
         # It flies to a height of its own, so that sinking is no fault, and an intercept may go lower.
         State.INTERCEPT: own[State.INTERCEPT]._replace(
-            events=lambda p, s, o: descend.over(p, s, o, _over, lambda *_: None), aim=over, allows=descend.lower_in_sight
+            events=lambda p, s, o: descend.over(p, s, o, _over, lambda *_: None), aim=first, allows=descend.lower_in_sight
         ),
         State.STAY: own[State.STAY]._replace(
-            events=lambda p, s, o: stay.events(p, s, o, lambda *_: None), aim=_way_point(stay.height_m)
+            events=lambda p, s, o: stay.events(p, s, o, lambda *_: None),
+            aim=over_pad(lambda p, s, o, estimate: _way_point(o, stay.height_m(s, o))),
         ),
         State.DESCEND: own[State.DESCEND]._replace(events=lambda p, s, o: descend.down(p, s, o, _down), aim=at_last),
         State.GATE: own[State.GATE]._replace(
@@ -125,7 +121,7 @@ def phases(cone: Mapping[State, Phase]) -> Mapping[State, Phase]:
         ),
         # Only a landing where it is comes down with a contact, as in the cone.
         State.DOWN: own[State.DOWN]._replace(
-            events=lambda p, s, o: press.stops(p, s, o, _ends) if p.here is None else down.events(p, s, o),
-            aim=lambda p, s, o: (p, Land(on_deck=press.tipped(p, s))) if p.here is None else down.aim(p, s, o),
+            events=lambda p, s, o: press.stops(p, s, o, _ends) if p.here is None else cone[State.DOWN].events(p, s, o),
+            aim=lambda p, s, o: (p, Land(on_deck=press.tipped(p, s))) if p.here is None else cone[State.DOWN].aim(p, s, o),
         ),
     }
