@@ -181,7 +181,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Counts(Struct):
-    """What was found in all frames so far."""
+    """The counts of all frames so far."""
 
     frames: int = 0
     found: int = 0
