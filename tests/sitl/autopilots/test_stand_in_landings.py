@@ -249,7 +249,7 @@ def gimbal_flight(*, point_down: bool = True, limit_s: float = 90.0, perception:
 
 @pytest.mark.timeout(600)
 def test_it_lands_by_a_swinging_camera_whose_yaw_is_from_north_and_which_somebody_pointed_ahead_on_the_way():
-    landing = gimbal_flight(device_id=1, yaw="earth", leaves_at_s=8.0)
+    landing = gimbal_flight(device_id=1, yaw="earth", leaves_at_s=5.0)
     end = landing.fly()
     assert end.failure == ""
     assert end.ending.outcome is FlightOutcome.LANDED

@@ -193,8 +193,8 @@ class CopterStandIn(StandIn):
     # What it does
 
     def imu(self, s: BodyState) -> Message:
-        """Return RAW_IMU: readings behind the filters of INS_ACCEL_FILTER and INS_GYRO_FILTER, stamped as they are sent."""
-        milli = [round(1e3 * c) for c in (*(self._f_filtered.value / G_M_S2), *self._w_filtered.value)]
+        """Return RAW_IMU behind the filters of INS_*_FILTER, stamped as it is sent; its last digits never stand still."""
+        milli = [round(1e3 * c) + self._samples % 7 - 3 for c in (*(self._f_filtered.value / G_M_S2), *self._w_filtered.value)]
         return mav.MAVLink_raw_imu_message(self.boot_ns // 1000, *milli, 0, 0, 0)
 
     def fly(self, s: BodyState) -> Motors:
