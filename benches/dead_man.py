@@ -22,12 +22,13 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from benches.options import described, failed, parsed
 from companion.base.observer import Decision, NullObserver
@@ -35,10 +36,11 @@ from companion.guidance.pilot import make_pilot
 from companion.service.assemble import live, make_daemon
 from companion.settings.load import load
 from drivers.ardrone import at
+from sitl.emulators.ardrone.truth_log import LINE
+from sitl.vehicle.vehicle import VehiclePhase
+from sitl.world import truth as world
 
 _LOOK_S = 0.005
-_KEPT = ("at_ns", "phase", "d_body_pad_level_m", "p_body_ned_m", "contacts")
-"""Fields of a truth record that are kept."""
 ALONE_S = 3.0
 """Time for which the drone is watched before a new daemon is started, seconds."""
 LAND_S = 90.0
@@ -188,7 +190,7 @@ class Truth:
     """Follows the truth log of a simulated drone that flies, and how punctual this process is meanwhile."""
 
     def __init__(self, path: Path) -> None:
-        self.records: list[dict[str, Any]] = []
+        self.records: list[world.Truth] = []
         self.late: list[tuple[float, float]] = []
         """Times at which this thread woke up more than 50 ms late, and by how many seconds."""
         self.ended = False
@@ -199,21 +201,21 @@ class Truth:
     @property
     def phase(self) -> str:
         """The drone's phase; empty before the first record."""
-        return str(self.records[-1]["phase"]) if self.records else ""
+        return self.records[-1].phase.name.lower() if self.records else ""
 
     @property
     def height_m(self) -> float:
         """True height of the body over the pad, metres."""
-        return float(self.records[-1]["d_body_pad_level_m"][2]) if self.records else math.inf
+        return float(self.records[-1].d_body_pad_level[2]) if self.records else math.inf
 
     @property
-    def contacts(self) -> list[dict[str, Any]]:
+    def contacts(self) -> Sequence[world.Touchdown]:
         """Return all contacts so far."""
-        return list(self.records[-1]["contacts"]) if self.records else []
+        return self.records[-1].contacts if self.records else ()
 
     def slowest_s(self, since: float, until: float) -> float:
         """Return the longest time between two records, seconds; the drone's host had no time for it, and it does not catch up."""
-        return _longest_s([1e-9 * r["at_ns"] for r in self.records], since, until)
+        return _longest_s([1e-9 * r.at for r in self.records], since, until)
 
     def end(self) -> None:
         """Read what is left and stop following."""
@@ -227,7 +229,7 @@ class Truth:
                 last = self.ended
                 output = rest + lines.read()
                 *whole, rest = output.split("\n")
-                self.records += [{name: value for name, value in json.loads(line).items() if name in _KEPT} for line in whole]
+                self.records += map(LINE.decode, whole)
                 if last:
                     return
                 time.sleep(_LOOK_S)
@@ -395,7 +397,7 @@ def _starved(first: Daemon, truth: Truth, killed: float, back: float) -> tuple[s
 
 def _missed(case: Case, seed: int, truth: Truth) -> Flight:
     """Return the result of a flight whose daemon was not killed; it may have failed all the same."""
-    why = tuple(f"touched {c['lateral_m']:.2f} m off, not on the pad" for c in truth.contacts if not c["on_pad"])
+    why = tuple(f"touched {c.lateral_m:.2f} m off, not on the pad" for c in truth.contacts if not c.on_pad)
     if truth.phase == "emergency":
         why += ("its motors were cut",)
     return Flight(case, seed, False, truth.height_m, outcome=truth.phase, unsafe=why)
@@ -428,28 +430,25 @@ def _taken_over(daemon: Daemon, truth: Truth) -> None:
 def _judge(flight: Flight, truth: Truth, killed: float, back: float) -> None:
     """Measure from the truth log how the drone moved while it was alone, and how the flight ended."""
     records = truth.records[:]
-    start = max((r for r in records if r["at_ns"] <= killed * 1e9), key=lambda r: r["at_ns"], default=records[0])
-    alone = [r for r in records if killed * 1e9 <= r["at_ns"] <= back * 1e9]
-    x0, y0, z0 = start["p_body_ned_m"]
-    flight.height_m = start["d_body_pad_level_m"][2]
-    flight.drift_m = max((math.hypot(r["p_body_ned_m"][0] - x0, r["p_body_ned_m"][1] - y0) for r in alone), default=0.0)
-    flight.lowest_m = min((z0 - r["p_body_ned_m"][2] for r in alone), default=0.0)
-    last, contacts = records[-1], records[-1]["contacts"]
-    off_pad = [c for c in contacts if not c["on_pad"]]
-    by_itself = [r for r in alone if r["phase"] == "landing"] if start["phase"] != "landing" else []
-    why = [f"touched {c['lateral_m']:.2f} m off, not on the pad" for c in off_pad]
-    if last["phase"] == "emergency":
+    start = max((r for r in records if r.at <= killed * 1e9), key=lambda r: r.at, default=records[0])
+    alone = [r for r in records if killed * 1e9 <= r.at <= back * 1e9]
+    moved = np.array([r.p_body_ned - start.p_body_ned for r in alone]).reshape(-1, 3)
+    flight.height_m = float(start.d_body_pad_level[2])
+    flight.drift_m = float(np.hypot(moved[:, 0], moved[:, 1]).max(initial=0.0))
+    flight.lowest_m = float(-moved[:, 2].max()) if alone else 0.0
+    contacts, landing = records[-1].contacts, start.phase is VehiclePhase.LANDING
+    by_itself = [r for r in alone if r.phase is VehiclePhase.LANDING and not landing]
+    why = [f"touched {c.lateral_m:.2f} m off, not on the pad" for c in contacts if not c.on_pad]
+    if truth.phase == "emergency":
         why.append("its motors were cut")
     if by_itself:
-        why.append(f"began to land by itself at {by_itself[0]['d_body_pad_level_m'][2]:.2f} m")
-    if flight.lowest_m < -SANK_M and start["phase"] != "landing":
+        why.append(f"began to land by itself at {by_itself[0].d_body_pad_level[2]:.2f} m")
+    if flight.lowest_m < -SANK_M and not landing:
         why.append(f"sank {-flight.lowest_m:.2f} m while alone")
     flight.unsafe = tuple(why)
-    flight.lateral_m = contacts[-1]["lateral_m"] if contacts else None
-    if last["phase"] == "landed":
-        flight.outcome = "on the pad" if contacts else "never flew"
-    else:
-        flight.outcome = {"hovering": "hovers", "flying": "still flies"}.get(last["phase"], last["phase"])
+    flight.lateral_m = contacts[-1].lateral_m if contacts else None
+    ends = {"landed": "on the pad" if contacts else "never flew", "hovering": "hovers", "flying": "still flies"}
+    flight.outcome = ends.get(truth.phase, truth.phase)
 
 
 @dataclass

@@ -49,7 +49,7 @@ def read(path: Path) -> list[Truth]:
     out: list[Truth] = []
     for number, line in enumerate(lines[:-1], start=1):
         with refused(f"truth log {path}, line {number}", MsgspecError):
-            out.append(_decoder.decode(line))
+            out.append(LINE.decode(line))
     return out
 
 
@@ -61,4 +61,4 @@ def _array(kind: type, value: Any) -> Any:
     return Rotation(np.array(value)) if kind is Rotation else np.array(value, float)
 
 
-_decoder = json.Decoder(Truth, dec_hook=_array)
+LINE = json.Decoder(Truth, dec_hook=_array)  # decodes a line
