@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.base.containment import RESTART
 from companion.base.observer import Decision, NullObserver
 from companion.guidance.pilot import make_pilot
 from companion.service.daemon import Daemon, DaemonSetup
@@ -139,7 +140,7 @@ async def main(settings: Settings) -> int:
     with socket.socket(*datagrams) as received, socket.socket(*datagrams) as sent:
         received.bind(("127.0.0.1", 0))
         received.setblocking(False)
-        options = DaemonSetup(settings.service, settings.guidance.rate_hz)
+        options = DaemonSetup(RESTART, settings.guidance.rate_hz)
         daemon = Daemon(opened, pilot, CLOCK, options, observers=[Beacon(sent, received.getsockname())])
         running = asyncio.create_task(daemon.run())
         try:

@@ -334,7 +334,8 @@ class ArDroneServer:
 
     def enter(self, world: World) -> None:
         """Go on in another world that nothing has happened in yet; its time begins now. Sockets and configuration stay."""
-        world.started = world.now = self._clock.now()
+        world.wait(seconds_between(world.now, self._clock.now()))
+        world.begin()
         self.world = world
         self.drone.enter(world)
         self._carry(world)
