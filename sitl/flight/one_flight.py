@@ -17,7 +17,7 @@ from companion.guidance.pilot import Pilot
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from companion.settings.vessel import VesselOptions
-from drivers.ardrone.options import ardrone_options
+from drivers.ardrone.options import ArDroneOptions, ardrone_options
 from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import PathName
@@ -88,7 +88,7 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     follow, driver = settings.guidance.follow_deck, ardrone_options(settings.vehicle)
     if not by_autopilot:
         follow = msgspec.structs.replace(follow, response=vehicle.response)
-    tilt_deg = max(driver.euler_angle_max_deg, vehicle.loops.tilt_max_deg)
+    tilt_deg = max(ArDroneOptions().euler_angle_max_deg, vehicle.loops.tilt_max_deg)
     driver = msgspec.structs.replace(driver, model=scenario.vehicle.generation, euler_angle_max_deg=tilt_deg)
     feet = vehicle.feet
     cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=feet.below_m, feet_aside_m=feet.half_base_m)

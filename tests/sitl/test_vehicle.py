@@ -14,7 +14,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import fly, following, settings_for
 from sitl.scenario.scenario import load as load_scenario
 from sitl.vehicle.airframe import Airframe, Avionics, Loops, StickLimits, VehicleFile, ardrone2, load, rotors
 from sitl.vehicle.disturbances import Wind
@@ -344,7 +344,7 @@ def test_a_vehicle_with_a_response_of_its_own_is_flown_by_it_down_to_the_middle_
     flown_with = settings_for(scenario, None)
     assert response_model(flown_with) == shipped_response("quad_1_5kg")
     assert (flown_with.vehicle.euler_angle_max_deg, flown_with.guidance.cone.feet_aside_m) == (35.0, 0.12)  # type: ignore
-    calm = settings_for(load_scenario("calm"), None)
+    calm = following(load_scenario("calm"), flown_with)
     assert (response_model(calm), calm.vehicle.euler_angle_max_deg) == (shipped_response("ardrone2"), 29.5)  # type: ignore
     endings = [fly("quad_1_5kg", scenario, seed, flown_with, "truth") for seed in (1, 2)]
     assert all(ending.good for ending in endings)
