@@ -4,7 +4,7 @@ from importlib.util import find_spec
 
 from estimator.contracts.errors import BadInput
 
-_NAMES = {"av": "PyAV", "can": "python-can", "paho": "paho-mqtt"}
+_NAMES = {"av": "PyAV", "can": "python-can", "paho": "paho-mqtt", "resvg_py": "resvg-py"}
 """Names of packages that are not those of their modules."""
 
 

@@ -18,7 +18,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import resvg_py
 from aiohttp import web
 
 from companion.cli import board_option
@@ -35,6 +34,7 @@ from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import Picture, drawn, file_text, traced
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from drivers.camera import images
+from drivers.extras import require
 from drivers.files import Largest, bytes_of
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.geometry import F64
@@ -108,6 +108,9 @@ def _import(args: argparse.Namespace) -> int:
     except BadInput as why:
         photo = path.suffix.lower() not in (".svg", *BOARD_FILES)
         raise BadInput(f"{why}{f'; or its paints are not the {args.paints} of --paints' * photo}") from why
+    require("decklander pad import", "pads", "resvg_py")
+    import resvg_py
+
     drawing = pad_drawing(pad)
     png = resvg_py.svg_to_bytes(svg(drawing, sheets(drawing, "full")[0]), width=800, dpi=96.0)
     with file_errors(str(out)):

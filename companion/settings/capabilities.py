@@ -107,6 +107,7 @@ CAPABILITIES = (
         "the ship's wires",
         "ship",
         "companion.parts.ship",
+        needs=("pynmea2", "pyais"),
         keys=("vessel.nmea", "vessel.bus", "rtk.source", "rtk.heading"),
         join="companion.parts.ship.part:join",
         references="companion.parts.ship.part:references",

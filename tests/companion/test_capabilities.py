@@ -1,5 +1,7 @@
 """The table of capabilities, vehicles of other packages, and the answer where something is missing."""
 
+import subprocess
+import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -20,6 +22,21 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import text
 
 ROOT = Path(__file__).parents[2]
+_PLAIN = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Missing(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"aiomqtt", "av", "paho", "pyais", "pynmea2", "pyulog", "resvg_py", "rosbags"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from companion.cli.main import main
+
+sys.exit(main(sys.argv[1:]))
+"""
+"""Runs a command where no extra is installed."""
 SIM = load("sim")
 
 
@@ -85,3 +102,34 @@ def test_a_vehicle_that_is_not_installed_is_refused_likewise(monkeypatch: pytest
     assert set(VEHICLES) == {"ardrone", "mavlink"}
     with pytest.raises(BadInput, match=r'kind = "ardrone" needs the AR.Drone, .* install the extra decklander\[ardrone\]$'):
         vehicle_kind("ardrone")
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        ("completion bash", ""),
+        ("pad check thesis", ""),
+        ("pad import p.svg --size-mm 780 --out p.toml", "pads"),
+        ("doctor flight.ulg", "logs"),
+        ("doctor --config rig.toml", "ship"),
+        ("watch --broker 127.0.0.1", "mqtt"),
+    ],
+)
+def test_an_installation_without_extras_works_or_says_which_one_a_command_needs(words: str, extra: str, tmp_path: Path) -> None:
+    (tmp_path / "flight.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8))
+    (tmp_path / "p.svg").write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" width="80" height="80"><circle cx="40" cy="40" r="30"/></svg>'
+    )
+    tables = [
+        '[vehicle]\nkind = "mavlink"\nlinks = "udpin://127.0.0.1:14550"',
+        '[camera]\nfile = "sim"\nsource = "v4l2"\ndevice = "/dev/video9"',
+        '[pad]\nfile = "thesis"',
+    ]
+    (tmp_path / "rig.toml").write_text("\n".join([*tables, '[vessel]\nnmea = "127.0.0.1:10110"\n']))
+    command = [sys.executable, "-c", _PLAIN, *words.split()]
+    done = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)
+    if extra:
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert done.stderr.endswith(f"install the extra decklander[{extra}]\n")
+    else:
+        assert done.returncode == 0, done.stderr

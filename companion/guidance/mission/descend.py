@@ -56,13 +56,13 @@ def _in_cone(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: Relati
 
 
 def over(
-    p: Progress, s: GuidanceCycle, o: GuidanceOptions, arrives: ByEstimate = _in_cone, sinks: Bar = rules.sank
+    p: Progress, s: GuidanceCycle, o: GuidanceOptions, arrives: ByEstimate = _in_cone, lost_height: Bar = rules.sank
 ) -> Iterator[rules.EventWithReason]:
-    """Yield what happens over the pad, by what finds that it has arrived, and that it sinks."""
+    """Yield what happens over the pad, by what finds that it has arrived, and that it lost height."""
     yield from rules.other_pad(p, s, o)
     yield from contact.stays(p, s, o)
     yield from rules.try_ends(p, s, o)
-    if (limit := rules.try_over(p, s, o) or sinks(p, s, o)) is not None:
+    if (limit := rules.try_over(p, s, o) or lost_height(p, s, o)) is not None:
         yield Event.LIMIT, limit
     yield from rules.time_over(p.attempt.spent_s.get(p.state, 0.0), o.tries.leg_s, s.thing)
     if (estimate := rules.fit_estimate(p, s, o)) is None:

@@ -28,13 +28,15 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     return replace(p, attempt=p.attempt.stayed(s.at), landing_began=s.at)
 
 
-def events(p: Progress, s: GuidanceCycle, o: GuidanceOptions, sinks: rules.Bar = rules.sank) -> Iterator[rules.EventWithReason]:
-    """Yield what happens during the wait, by what finds that the drone sinks from its height."""
+def events(
+    p: Progress, s: GuidanceCycle, o: GuidanceOptions, lost_height: rules.Bar = rules.sank
+) -> Iterator[rules.EventWithReason]:
+    """Yield what happens during the wait, by what finds that the drone lost height."""
     yield from rules.other_pad(p, s, o)
     yield from rules.try_ends(p, s, o)
     if s.battery is not None and charge.battery_ends(s.battery, o):
         yield Event.HOPELESS, Reason(ReasonCause.BATTERY, 100.0 * s.battery, 100.0 * o.limits.battery)
-    if (limit := rules.try_over(p, s, o) or sinks(p, s, o)) is not None:
+    if (limit := rules.try_over(p, s, o) or lost_height(p, s, o)) is not None:
         yield Event.LIMIT, limit
     stayed_s = p.attempt.spent_s.get(State.STAY, 0.0)
     yield from rules.time_over(stayed_s, o.stay_s, Reason(ReasonCause.STAYED, stayed_s, o.stay_s))

@@ -27,7 +27,6 @@ from companion.tools.doctor.firmware_parameters import RENAMED, differing, names
 from companion.tools.doctor.gather_service import figures, files_of, servers_of
 from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, Snapshot
 from drivers.camera.open_camera import open_camera
-from drivers.extras import is_installed
 from drivers.files import Largest, bytes_of
 from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.imports.kinds import DECRYPT, FileKind, kind_of
@@ -241,7 +240,8 @@ async def _from_settings(settings: Settings, clock: Clock, seconds: float, timeo
     if scraped is not None:
         return _of_metrics(snapshot, settings, scraped)
     for capability in CAPABILITIES:
-        if capability.examine and capability.wanted_by(settings) and is_installed(capability.module):
+        if capability.examine and (wanted := capability.wanted_by(settings)):
+            capability.require(wanted)
             examine: Examine = imported(capability.examine)
             snapshot = await examine(snapshot, settings, clock, seconds)
     return await _of_camera(snapshot, settings, clock, seconds)

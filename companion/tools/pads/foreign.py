@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from drivers.confined import confined_task
+from drivers.extras import require
 from estimator.contracts.errors import BadInput
 
 PX_IN_INCH = 96.0
@@ -14,6 +15,7 @@ PX_IN_INCH = 96.0
 
 def _render(svg: bytes, *, crisp: bool) -> bytes:
     """Return a drawing as PNG; a crisp one is blended at no border."""
+    require("a pad from a drawing", "pads", "resvg_py")
     import resvg_py
 
     sharp = "*{shape-rendering:crispEdges!important}" if crisp else None

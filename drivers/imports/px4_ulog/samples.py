@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from pyulog import ULog
 
+from drivers.extras import require
 from drivers.files import Largest, bytes_of
 from drivers.imports.columns import ULOG, cell, unknown
 from drivers.imports.px4_ulog.damage import without_damage
@@ -64,8 +64,11 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
     """Return the parsed log, a `pyulog.ULog`, with these topics; foreign bytes in it are left out, and reported.
 
     Raises:
-        BadInput: the file cannot be read or is no ULog.
+        BadInput: the file cannot be read or is no ULog, or pyulog is missing.
     """
+    require(str(path), "logs", "pyulog")
+    from pyulog import ULog
+
     try:
         data = bytes_of(path, Largest.LOG)
         whole = without_damage(data, tell) if data.startswith(MAGIC) else data
