@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from email.utils import format_datetime
 from pathlib import Path
 
-from companion.cli.main import COMMANDS
+from companion.cli.commands import COMMANDS
 from supply import wheels
 
 ROOT = wheels.ROOT
@@ -190,7 +190,7 @@ def _filled(text: str) -> str:
 
 def manual(version: str) -> str:
     """Return the manual page of the command: the commands with one line each, and where the rest is."""
-    commands = "\n".join(f".TP\n.B {name}\n{summary[0].upper()}{summary[1:]}." for name, (_, summary) in COMMANDS.items())
+    commands = "\n".join(f".TP\n.B {name}\n{one.summary[0].upper()}{one.summary[1:]}." for name, one in COMMANDS.items())
     return (
         f'.TH DECKLANDER 1 "" "decklander {version}"\n.SH NAME\ndecklander \\- {DESCRIPTION}\n'
         ".SH SYNOPSIS\n.B decklander\n.I COMMAND\n[\\fIOPTIONS\\fR]\n.SH DESCRIPTION\n"

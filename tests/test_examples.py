@@ -1,6 +1,7 @@
 """The programs in examples/ run as they are shipped, and their data is what the repository's script makes."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -86,6 +87,27 @@ def test_a_recording_is_read(tmp_path: Path) -> None:
     assert len(decisions) > 10
     assert all(re.fullmatch(r" *[\d.]+ s [a-z ]+: [\d.]+ m up, [\d.]+ m off", line) for line in decisions), decisions[0]
     assert re.fullmatch(r"frames: \{'fused': \d+.*\}", frames)
+    # A package that is installed beside Decklander offers it as a command.
+    offer = tmp_path / "approach-1.0.dist-info"
+    offer.mkdir()
+    (offer / "METADATA").write_text("Metadata-Version: 2.1\nName: approach\nVersion: 1.0\n")
+    entries = "approach = examples.read_recording\nlost = examples.nowhere\n"
+    (offer / "entry_points.txt").write_text(f"[decklander.commands]\n{entries}")
+    command = (sys.executable, "-m", "companion.cli.main")
+    path = os.pathsep.join((str(tmp_path), str(ROOT)))
+    as_command = ran(*command, "approach", str(tmp_path / "flight.mcap"), cwd=ROOT, PYTHONPATH=path)
+    assert (as_command.returncode, as_command.stdout) == (0, done.stdout)
+    wrong = {
+        ("approach", "no.mcap"): "decklander: no.mcap: No such file or directory\n",
+        ("approach",): "decklander approach: the following arguments are required: FILE (see decklander approach --help)\n",
+        ("lost",): "decklander: decklander lost of examples.nowhere cannot be loaded: No module named 'examples.nowhere'\n",
+        ("aproach",): "decklander: unknown command 'aproach'; did you mean 'approach'? (see decklander --help)\n",
+    }
+    for words, message in wrong.items():
+        refused = ran(*command, *words, cwd=ROOT, PYTHONPATH=path)
+        assert (refused.returncode, refused.stderr) == (2, message)
+    listed = ran(*command, "--help", cwd=ROOT, PYTHONPATH=path).stdout
+    assert re.search(r"^of other packages\n  approach +from examples.read_recording$", listed, re.MULTILINE)
 
 
 def test_the_data_is_written_over_nothing(tmp_path: Path) -> None:

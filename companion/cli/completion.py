@@ -6,7 +6,9 @@ import sys
 
 import shtab
 
+from companion.cli.commands import COMMANDS, PACKAGE_GROUP
 from companion.cli.options import option
+from companion.settings.capabilities import load_offered, of_packages
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -24,12 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script and return 0."""
-    from companion.cli.main import COMMANDS, add_command
+    """Print the script and return 0.
+
+    Raises:
+        BadInput: a command of another package cannot be loaded.
+    """
+    from companion.cli.main import add_command
 
     parser = argparse.ArgumentParser(prog="decklander")
     subparsers = parser.add_subparsers()
-    for name, (module, _) in COMMANDS.items():
-        add_command(subparsers, name, importlib.import_module(module))
+    for name, command in COMMANDS.items():
+        add_command(subparsers, name, importlib.import_module(command.module))
+    for name, entry in of_packages(PACKAGE_GROUP).items():
+        if name not in COMMANDS:
+            add_command(subparsers, name, load_offered(entry, f"decklander {name}"))
     sys.stdout.write(shtab.complete(parser, shell=args.shell) + "\n")
     return 0

@@ -4,12 +4,13 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, Event, State
+from companion.cli.commands import CommandModule, actions_of
 from companion.cli.options import option
-from companion.cli.outputs import SETTINGS, output
 from companion.guidance.advice import CAUSES
 from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
@@ -40,15 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "show", help="print a settings file with every default", description="Print a settings file with every default."
     )
     option(show, "file FILE", names)
-    imports = actions.add_parser(
-        "import",
-        help="make a settings file of another landing program's",
-        description="Make a settings file of another landing program's, with a pad file beside it. Read are vision_landing.conf "
-        "and the JSON of two extensions of BlueOS, rmackay9's and Wingxtra's. Each key that is not taken is printed.",
-    )
-    option(imports, "foreign FILE", "the other program's file", type=Path)
-    output(imports, "--out FILE", "settings file to write (.toml)", SETTINGS, required=True)
-    option(imports, "--tag-mm MM", "side of the tag's dark square, where the file does not say it", type=float)
+    for name, action in actions_of("config").items():
+        module: CommandModule = import_module(action.module)
+        added = actions.add_parser(name, help=action.summary, description=module.DESCRIPTION)
+        module.add_arguments(added)
+        added.set_defaults(run=module.run)
     actions.add_parser(
         "schema", help="print the JSON Schema of settings files", description="Print the JSON Schema of settings files."
     )
@@ -68,11 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the action; return 0.
+    """Run the action; return 0, or what one of a capability returns.
 
     Raises:
         BadInput: a settings file, or a file that it names, cannot be read or has a fault.
     """
+    if "run" in args:
+        return int(args.run(args))
     if args.action == "check":
         faults: list[BadInput] = []
         for file in map(str, args.files):
@@ -87,12 +86,6 @@ def run(args: argparse.Namespace) -> int:
         sys.stderr.writelines(f"decklander: {why}\n" for why in faults[:-1])
         if faults:
             raise faults[-1]
-    elif args.action == "import":
-        from companion.cli.config_import import write  # a pad's tags need OpenCV, and the other actions do not
-
-        tag_m = None if args.tag_mm is None else args.tag_mm / 1000.0
-        left = write(args.foreign, args.out, tag_m)
-        sys.stdout.write(f"{args.out}: written\n" + "".join(f"{args.foreign}: {line}\n" for line in left))
     elif args.action == "show":
         sys.stdout.write(schema.toml(load(args.file)))
     elif args.action == "schema":

@@ -21,9 +21,9 @@ from companion.cli import kept_flight
 from companion.cli.kept_flight import compared_paths, shown
 from companion.cli.options import check_seed, listening, named_wait, option, print_line, print_result
 from companion.cli.outputs import REPORT_FOLDER, output
-from companion.cli.page_link import certify, network_address, qr_code
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.page.access import make_token
+from companion.parts.page.link import certify, network_address, qr_code
 from companion.service.assemble import live, make_daemon
 from companion.service.daemon import Daemon
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback

@@ -3,7 +3,7 @@
 Exit codes: 0 done; 1 it did not reach its goal; 2 wrong use or bad input; 130 interrupted from the keyboard; 141 the reader
 of our output went away; 131, 143 ended by SIGQUIT, SIGTERM, with what was begun cleared away (`companion.base.signals` says how).
 
-Each subcommand is a module with `DESCRIPTION`, `add_arguments(parser)` and `run(args) -> int`, imported when it is requested.
+The subcommands stand in the table of `companion.cli.commands`; each is imported when it is requested.
 """
 
 from __future__ import annotations
@@ -19,54 +19,16 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
 from companion.base import signals
-from companion.settings.capabilities import CAPABILITIES
-from drivers.extras import is_installed
+from companion.cli.commands import COMMANDS, OWNERS, PACKAGE_GROUP, CommandModule, by_group
+from companion.settings.capabilities import load_offered, of_packages
 from estimator.contracts.address import masked
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible, one_line
 
-GROUPS: dict[str, dict[str, tuple[str, str]]] = {
-    "see it": {
-        "demo": ("companion.cli.demo", "land a simulated drone on this machine and write a report"),
-        "detect": ("companion.cli.detect", "find the pad in images, videos or recordings"),
-        "report": ("companion.cli.report", "write the report of a recorded flight, or compare two"),
-        "replay": ("companion.cli.replay", "replay a recording through vision and estimator"),
-        "record": ("companion.cli.record", "show what is in recordings; cut, repair, export, import and upload them"),
-    },
-    "fly": {
-        "run": ("companion.cli.run", "run the landing service"),
-        "fly": ("companion.cli.fly", "give orders to the running service, or fly by the keyboard"),
-    },
-    "set up": {
-        "start": ("companion.cli.start", "make the settings of your drone: asks, writes, checks"),
-        "config": ("companion.cli.config", "check, show, import or look up settings"),
-        "calibrate": ("companion.cli.calibrate", "calibrate camera and vehicle"),
-        "pad": ("companion.cli.pad", "list, import, check or print pads"),
-        "doctor": ("companion.cli.doctor", "diagnose the setup: autopilot, links, camera, broker"),
-    },
-    "study": {
-        "simulate": ("companion.cli.simulate", "simulate one flight in virtual time"),
-        "campaign": ("companion.cli.campaign", "fly many simulated landings and summarize them"),
-        "train": ("companion.cli.train", "train a controller in the simulated sea"),
-        "experiments": ("companion.cli.experiments", "fly the thesis' experiments again"),
-    },
-    "maintain": {
-        "keys": ("companion.cli.keys", "make, show, install and remove MAVLink signing keys; make the operator page's token"),
-        "completion": ("companion.cli.completion", "print the completion of commands for bash, zsh or fish"),
-    },
-}
-"""Commands by a person's need: module and one line of help for each."""
-OWNERS = {name: capability for capability in CAPABILITIES for name in capability.commands}
-"""The capabilities by their commands."""
-for _name, _owner in OWNERS.items():
-    if is_installed(_owner.module):
-        _command = _owner.commands[_name]
-        GROUPS[_command.group][_name] = (_command.module, _command.summary)
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 _READS_FILES_OF_OTHERS = frozenset({"calibrate", "config", "detect", "doctor", "pad", "record", "replay", "report"})
 """Commands that leave a part of the machine's memory to others, whatever a file holds."""
 _EXAMPLES = (
@@ -75,7 +37,7 @@ _EXAMPLES = (
     ("decklander run --config rig.toml", "the service, then: decklander fly takeoff"),
     ("decklander simulate sea_state_4 --seed 1", "one flight, the same every time"),
 )
-Load = Callable[[str], ModuleType]
+Load = Callable[[str], CommandModule]
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 """Errors of a disk that takes no more, whatever is written."""
 DONE = 0
@@ -115,10 +77,13 @@ class _MainParser(Parser):
     """The parser of the whole command line, whose help has the commands by what a person wants."""
 
     def format_help(self) -> str:
-        width = max(map(len, COMMANDS))
+        listed = {title: {name: one.summary for name, one in group.items()} for title, group in by_group().items()}
+        if offered := of_packages(PACKAGE_GROUP):
+            listed["of other packages"] = {name: f"from {entry.value}" for name, entry in offered.items()}
+        width = max(map(len, {*COMMANDS, *offered}))
         lines = [f"usage: {self.prog} COMMAND ...", "", str(self.description)]
-        for title, group in GROUPS.items():
-            lines += ["", _style(title, "1"), *(f"  {name:<{width}}  {summary}" for name, (_, summary) in group.items())]
+        for title, group in listed.items():
+            lines += ["", _style(title, "1"), *(f"  {name:<{width}}  {summary}" for name, summary in group.items())]
         wide = max(len(command) for command, _ in _EXAMPLES)
         lines += ["", _style("examples", "1"), *(f"  {command:<{wide}}  {what}" for command, what in _EXAMPLES)]
         return "\n".join(
@@ -225,17 +190,13 @@ def _dispatch(argv: list[str], load: Load) -> int:
     )
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=Parser)
-    asked = next((word for word in argv if not word.startswith("-")), None)
-    if asked in OWNERS:
-        OWNERS[asked].require(f"decklander {asked}")
-    if asked is not None and asked not in COMMANDS:
-        near = difflib.get_close_matches(asked, COMMANDS, n=1)
-        meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(COMMANDS)}"
-        parser.error(f"unknown command {asked!r}; {meant}")
-    for name, (_, summary) in COMMANDS.items():
+    words = [word for word in argv if not word.startswith("-")]
+    asked = words[0] if words else None
+    loaded = _loader_of(parser, words, load) if words else None
+    for name, command in COMMANDS.items():
         if name != asked:
-            subparsers.add_parser(name, help=summary)
-    if asked is None:
+            subparsers.add_parser(name, help=command.summary)
+    if asked is None or loaded is None:
         parser.parse_args(argv)
         parser.exit(WRONG, parser.format_help())
     if sys.maxsize < 2**32:
@@ -244,7 +205,7 @@ def _dispatch(argv: list[str], load: Load) -> int:
         )
     # No matrix here has more than some thirty rows, and the library would start a thread and set memory aside for each core.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    module = load(COMMANDS[asked][0])
+    module = loaded()
     add_command(subparsers, asked, module)
     args, unknown = parser.parse_known_args(argv)
     if unknown:
@@ -255,9 +216,26 @@ def _dispatch(argv: list[str], load: Load) -> int:
         return int(module.run(args))
 
 
-def add_command(subparsers: argparse._SubParsersAction[Any], name: str, module: ModuleType) -> None:
+def _loader_of(parser: Parser, words: Sequence[str], load: Load) -> Callable[[], CommandModule]:
+    """Return what loads the command that the words begin with; end because of a word that is none."""
+    for wanted in (" ".join(words[:n]) for n in (1, 2)):
+        if wanted in OWNERS:
+            OWNERS[wanted].require(f"decklander {wanted}")
+    asked = words[0]
+    if asked in COMMANDS:
+        return partial(load, COMMANDS[asked].module)
+    offered = of_packages(PACKAGE_GROUP)
+    if asked not in offered:
+        near = difflib.get_close_matches(asked, known := [*COMMANDS, *offered], n=1)
+        meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+        parser.error(f"unknown command {asked!r}; {meant}")
+    return partial(load_offered, offered[asked], f"decklander {asked}")
+
+
+def add_command(subparsers: argparse._SubParsersAction[Any], name: str, module: CommandModule) -> None:
     """Add a command with its options to the parser."""
-    module.add_arguments(subparsers.add_parser(name, help=COMMANDS[name][1], description=module.DESCRIPTION))
+    summary = COMMANDS[name].summary if name in COMMANDS else module.DESCRIPTION
+    module.add_arguments(subparsers.add_parser(name, help=summary, description=module.DESCRIPTION))
 
 
 def _refuse_words(parser: argparse.ArgumentParser, unknown: list[str]) -> NoReturn:
@@ -268,7 +246,7 @@ def _refuse_words(parser: argparse.ArgumentParser, unknown: list[str]) -> NoRetu
     parser.error(f"unrecognized arguments: {' '.join(unknown)}" + (f"; did you mean {near[0]!r}?" if near else ""))
 
 
-def _load_for_good(name: str) -> ModuleType:
+def _load_for_good(name: str) -> CommandModule:
     """Import a module without garbage collections: what an import makes stays, and a collection would visit all of it.
 
     No later collection of this process visits it either.

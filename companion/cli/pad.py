@@ -92,6 +92,7 @@ def _import(args: argparse.Namespace) -> int:
         BadInput: a file cannot be read or written, an argument is wrong, or the drawing cannot be measured as a pad.
     """
     path, out = Path(args.drawing), args.out
+    require("decklander pad import", "pads", "resvg_py")
     shown, remarks = out.with_suffix(".preview.png"), tuple[str, ...]()
     check_output(shown, PREVIEW, "--out", [path], force=args.force)
     if path.suffix.lower() in BOARD_FILES:
@@ -108,7 +109,6 @@ def _import(args: argparse.Namespace) -> int:
     except BadInput as why:
         photo = path.suffix.lower() not in (".svg", *BOARD_FILES)
         raise BadInput(f"{why}{f'; or its paints are not the {args.paints} of --paints' * photo}") from why
-    require("decklander pad import", "pads", "resvg_py")
     import resvg_py
 
     drawing = pad_drawing(pad)

@@ -19,8 +19,8 @@ from companion.cli import config, doctor
 from companion.cli.keys import write_secret
 from companion.cli.options import listening, named_wait, option
 from companion.cli.outputs import SETTINGS, output
-from companion.cli.page_link import certify, network_address, qr_code
 from companion.parts.page.access import make_token
+from companion.parts.page.link import certify, network_address, qr_code
 from companion.settings.load import find_file, pad_of_file, write_whole
 from companion.settings.operator import SwitchOptions
 from companion.tools.doctor.gather import seen_moving, wait_until

@@ -19,6 +19,8 @@ from drivers.extras import is_installed, require
 from estimator.contracts.errors import BadInput, refused
 
 if TYPE_CHECKING:  # the command line's help needs the table and no settings
+    from importlib.metadata import EntryPoint
+
     from companion.settings.part_table import PartTable
     from drivers.vehicle import VehicleOptions
 
@@ -39,11 +41,12 @@ class VehicleKind(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A subcommand of `decklander`."""
+    """A subcommand of `decklander` (`companion.cli.commands`)."""
 
     group: str
     """A person's need, as `decklander --help` groups the commands."""
     module: str
+    """The module that is a `companion.cli.commands.CommandModule`."""
     summary: str
 
 
@@ -69,6 +72,7 @@ class Capability(NamedTuple):
     vehicles: Mapping[str, VehicleKind] = _NONE
     """Kinds of vehicles by the word of `vehicle.kind`."""
     commands: Mapping[str, Command] = _NONE
+    """Commands by the word that is typed, and actions of commands of ours by both words."""
     examine: str = ""
     """The coroutine by which `doctor` examines what the settings want of it, as module:object."""
     exporters: Mapping[str, str] = _NONE
@@ -150,6 +154,38 @@ CAPABILITIES = (
         commands={"gamepad": Command("fly", "companion.cli.gamepad", "list gamepads and show what they send")},
     ),
     Capability("Foxglove", "foxglove", "companion.parts.live", keys=("http.foxglove",), join="companion.parts.live.part:join"),
+    Capability(
+        "pads from pictures and printing",
+        "pads",
+        "companion.tools.pads",
+        commands={"pad": Command("set up", "companion.cli.pad", "list, import, check or print pads")},
+    ),
+    Capability(
+        "campaigns",
+        "lab",
+        "sitl.campaign",
+        commands={"campaign": Command("study", "companion.cli.campaign", "fly many simulated landings and summarize them")},
+    ),
+    Capability(
+        "the training of controllers",
+        "rl",
+        "study.gym",
+        commands={"train": Command("study", "companion.cli.train", "train a controller in the simulated sea")},
+    ),
+    Capability(
+        "the thesis' experiments",
+        "compare",
+        "study.experiments",
+        commands={"experiments": Command("study", "companion.cli.experiments", "fly the thesis' experiments again")},
+    ),
+    Capability(
+        "the import of others' files",
+        "logs",
+        "drivers.imports",
+        commands={
+            "config import": Command("set up", "companion.cli.config_import", "make a settings file of another landing program's")
+        },
+    ),
 )
 VEHICLES: Mapping[str, VehicleKind] = {
     **{word: kind for capability in CAPABILITIES for word, kind in capability.vehicles.items()},
@@ -210,12 +246,26 @@ def vehicle_kind(word: str) -> VehicleKind:
             if word in capability.vehicles:
                 capability.require(f'vehicle.kind = "{word}"')
         return found
-    from importlib.metadata import entry_points  # it takes longer to load than all settings
-
-    offered = {entry.name: entry for entry in entry_points(group=VEHICLE_GROUP)}
+    offered = of_packages(VEHICLE_GROUP)
     if word not in offered:
         known = ", ".join(f'"{kind}"' for kind in sorted({*VEHICLES, *offered}))
         raise BadInput(f'vehicle.kind must be one of {known}, found "{word}"')
-    with refused(f"vehicle.kind: {word!r} of {offered[word].value} cannot be loaded", Exception):
-        kind: VehicleKind = offered[word].load()
+    kind: VehicleKind = load_offered(offered[word], f"vehicle.kind: {word!r}")
     return kind
+
+
+def of_packages(group: str) -> dict[str, EntryPoint]:
+    """Return what other packages offer in a group of entry points, by name."""
+    from importlib.metadata import entry_points  # it takes longer to load than all settings
+
+    return {entry.name: entry for entry in entry_points(group=group)}
+
+
+def load_offered(entry: EntryPoint, wanted: str) -> Any:
+    """Return what another package offers; `wanted` begins the error.
+
+    Raises:
+        BadInput: it cannot be loaded.
+    """
+    with refused(f"{wanted} of {entry.value} cannot be loaded", Exception):
+        return entry.load()

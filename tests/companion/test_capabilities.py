@@ -1,5 +1,6 @@
 """The table of capabilities, vehicles of other packages, and the answer where something is missing."""
 
+import re
 import subprocess
 import sys
 import tomllib
@@ -11,6 +12,8 @@ from typing import Annotated, Any
 import pytest
 from msgspec import structs
 
+from companion.cli.commands import OWNERS
+from companion.cli.main import main
 from companion.settings import capabilities, schema
 from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, imported, vehicle_kind
 from companion.settings.load import from_mapping, load
@@ -56,7 +59,8 @@ def test_what_the_table_names_is_there_and_in_the_extras_of_the_distribution(cap
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert capability.extra in project["optional-dependencies"]
     kinds = capability.vehicles.values()
-    for name in (capability.join, capability.references, *(kind.options for kind in kinds), *(kind.parts for kind in kinds)):
+    commands = (f"{command.module}:run" for command in capability.commands.values())
+    for name in (capability.join, capability.references, *commands, *(name for kind in kinds for name in kind)):
         assert not name or callable(imported(name))
     for key in capability.keys:
         assert key.partition("=")[0] in dict(schema.walk(Settings))
@@ -102,6 +106,19 @@ def test_a_vehicle_that_is_not_installed_is_refused_likewise(monkeypatch: pytest
     assert set(VEHICLES) == {"ardrone", "mavlink"}
     with pytest.raises(BadInput, match=r'kind = "ardrone" needs the AR.Drone, .* install the extra decklander\[ardrone\]$'):
         vehicle_kind("ardrone")
+
+
+@pytest.mark.parametrize("command", OWNERS)
+def test_a_command_that_is_not_installed_is_refused_likewise(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    owner = OWNERS[command]
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != owner.module)
+    assert main([*command.split(), "--help"]) == 2
+    assert re.fullmatch(
+        rf"decklander: decklander {command} needs {owner.what}, .* install the extra decklander\[{owner.extra}\]\n",
+        capsys.readouterr().err,
+    )
 
 
 @pytest.mark.parametrize(

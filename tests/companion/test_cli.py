@@ -28,10 +28,12 @@ from msgspec.structs import replace
 from companion.base.observer import Decision, NullObserver, ProcessedFrame
 from companion.cli import main as cli
 from companion.cli import run as run_command
+from companion.cli.commands import COMMANDS
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.service import assemble as service
 from companion.service.assemble import Proven
 from companion.service.daemon import Daemon, DaemonSetup
+from companion.settings.capabilities import Command
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
 from drivers.reconnect import BackOff
@@ -50,7 +52,7 @@ ROOT = Path(__file__).parents[2]
 def command(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Return a subcommand `probe` whose `run` a test sets."""
     module = SimpleNamespace(DESCRIPTION="Probe.", add_arguments=lambda parser: None, run=lambda args: 0)
-    monkeypatch.setitem(cli.COMMANDS, "probe", ("probe", "a probe"))
+    monkeypatch.setitem(COMMANDS, "probe", Command("study", "probe", "a probe"))
     monkeypatch.setattr(importlib, "import_module", {"probe": module}.__getitem__)
     return module
 
@@ -62,9 +64,9 @@ def raising(error: BaseException) -> object:
     return run
 
 
-@pytest.mark.parametrize("name", list(cli.COMMANDS))
+@pytest.mark.parametrize("name", list(COMMANDS))
 def test_every_command_has_a_parser_and_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert callable(import_module(cli.COMMANDS[name][0]).run)
+    assert callable(import_module(COMMANDS[name].module).run)
     with pytest.raises(SystemExit) as ended:
         cli.main([name, "--help"])
     assert ended.value.code == 0
@@ -76,10 +78,10 @@ def test_help_lists_the_commands_without_importing_any_of_them() -> None:
         "import sys\nfrom companion.cli.main import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit as ended:\n    assert ended.code == 0\n"
         "print(sorted({'numpy', 'cv2', 'av', 'msgspec', 'asyncio', 'matplotlib'} & set(sys.modules)))\n"
-        "print([m for m in sys.modules if m.startswith('companion.cli.') and m != 'companion.cli.main'])"
+        "print([m for m in sys.modules if m.startswith('companion.cli.') and m[14:] not in ('main', 'commands')])"
     )
     done = subprocess.run([sys.executable, "-c", probe], cwd=ROOT, capture_output=True, text=True, timeout=240, check=True)
-    assert all(name in done.stdout for name in cli.COMMANDS)
+    assert all(name in done.stdout for name in COMMANDS)
     assert done.stdout.splitlines()[-2:] == ["[]", "[]"]
 
 

@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 
 from companion.cli import kept_flight, start
-from companion.cli.main import COMMANDS, main, pointed
+from companion.cli.commands import COMMANDS
+from companion.cli.main import main, pointed
 from companion.cli.options import WorkProgress
-from companion.cli.page_link import qr_code
+from companion.parts.page.link import qr_code
 from companion.settings.load import load
 from drivers.ardrone import navdata
 from drivers.mavlink.codec import Codec

@@ -11,7 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from companion.base.version import MARK
-from companion.cli.main import COMMANDS, Parser, add_command, main
+from companion.cli.commands import COMMANDS
+from companion.cli.main import Parser, add_command, main
 from companion.cli.outputs import EXPERIMENTS, PLOT, REPORT, Output, check_output, checked_outputs
 from companion.settings.load import write_whole
 from companion.tools.report.page import write_page
@@ -30,8 +31,8 @@ def _parsers(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()):
 def _commands() -> list[tuple[tuple[str, ...], argparse.ArgumentParser]]:
     top = Parser(prog="decklander")
     subparsers = top.add_subparsers()
-    for name, (module, _) in COMMANDS.items():
-        add_command(subparsers, name, importlib.import_module(module))
+    for name, command in COMMANDS.items():
+        add_command(subparsers, name, importlib.import_module(command.module))
     return list(_parsers(top))
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.cli.main import COMMANDS
+from companion.cli.commands import COMMANDS
 from companion.settings.load import camera_model, load
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -24,7 +24,8 @@ import pytest
 from msgspec import Struct
 
 from companion.base.containment import RESTART
-from companion.cli.main import COMMANDS, main
+from companion.cli.commands import COMMANDS
+from companion.cli.main import main
 from companion.parts.operator.client import socket_path
 from companion.parts.operator.local_socket import OperatorSocket
 from companion.service.daemon import Daemon, DaemonSetup
@@ -291,7 +292,7 @@ def command_lines() -> list[tuple[str, list[str]]]:
 def test_command_lines_parse(where: str, words: list[str]) -> None:
     assert words[0] in COMMANDS, where
     parser = argparse.ArgumentParser(prog="decklander", exit_on_error=False, allow_abbrev=False)
-    importlib.import_module(COMMANDS[words[0]][0]).add_arguments(parser)
+    importlib.import_module(COMMANDS[words[0]].module).add_arguments(parser)
     try:
         parser.parse_args(words[1:])
     except (SystemExit, argparse.ArgumentError) as why:

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from msgspec import NODEFAULT, inspect
 
+from companion.cli.commands import COMMANDS
 from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
-from companion.cli.main import COMMANDS
 from companion.guidance.operator import order_time, precedence
 from companion.parts.mqtt.messages import PUBLISHED
 from companion.settings.model import EXPERT, Settings, in_file
@@ -163,9 +163,9 @@ def options() -> dict[str, frozenset[str]]:
                     yield from of(inner)
 
     found = {}
-    for name, (module, _) in COMMANDS.items():
+    for name, command in COMMANDS.items():
         parser = argparse.ArgumentParser()
-        importlib.import_module(module).add_arguments(parser)
+        importlib.import_module(command.module).add_arguments(parser)
         found[name] = frozenset(of(parser))
     return found
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.main import COMMANDS
+from companion.cli.commands import COMMANDS
 from estimator.core.library import FILE
 from supply import core, deb, wheels
 from supply.deb import PINS, ROOT

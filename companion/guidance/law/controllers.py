@@ -13,6 +13,7 @@ from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
+from companion.settings.capabilities import load_offered, of_packages
 from companion.settings.guidance import GuidanceOptions, Response
 from estimator.contracts.errors import BadInput, refused
 
@@ -77,12 +78,9 @@ OFFERED: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {}
 
 
 def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:
-    from importlib.metadata import entry_points  # it takes longer to load than a controller of ours to make
-
-    offered = {entry.name: entry for entry in entry_points(group=GROUP)}
+    offered = of_packages(GROUP)
     if name not in offered:
         known = ", ".join(sorted({*_OWN, *offered}))
         raise BadInput(f"guidance.controller: there is no controller {name!r}; known are {known}")
-    with refused(f"guidance.controller: {name!r} of {offered[name].value} cannot be loaded", Exception):
-        found: Callable[[ControllerSetup], Controller[Any]] = offered[name].load()
+    found: Callable[[ControllerSetup], Controller[Any]] = load_offered(offered[name], f"guidance.controller: {name!r}")
     return found

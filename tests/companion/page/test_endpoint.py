@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 from companion.base.http_server import ConnectionLimits
 from companion.base.mission import Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
-from companion.cli.page_link import certify
 from companion.parts.page import endpoint, viewer
 from companion.parts.page.files import assets
+from companion.parts.page.link import certify
 from companion.parts.page.messages import PageRequest, request_in
 from companion.parts.page.recordings import recordings_in
 from companion.settings.links import HttpSettings
