@@ -29,9 +29,7 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
     "gamepad": ("companion/cli/gamepad.py", "companion/parts/gamepad/", "drivers/gamepad/"),
     "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "sitl/perception/", "study/"),
     "pads from pictures, printing": ("companion/cli/pad.py", "companion/tools/pads/", "companion/tools/print_pad/"),
-    "imports of others' files": (
-        "companion/cli/config_import.py", "companion/tools/others_settings.py", "drivers/imports/", "drivers/log_stamps.py",
-    ),
+    "imports of others' files": ("companion/cli/config_import.py", "companion/tools/others_settings.py", "drivers/imports/"),
     "learned parts": (
         "companion/cli/train.py", "companion/guidance/law/policy.py", "estimator/vision/learned/", "sitl/core/training/",
         "study/gym/",

@@ -20,7 +20,7 @@ import numpy as np
 
 from benches.options import described, parsed
 from benches.real import SHIPPED, STAMP, Looks, curve_of
-from companion.tools.pads.price import view
+from companion.tools.pad_price import view
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Attitude, Frame

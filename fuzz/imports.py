@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.imports import ardrone_capture, dataflash, px4_ulog, tlog
+from drivers.ardrone import capture
+from drivers.file_kinds import ULOG_MAGIC
+from drivers.imports import dataflash, px4_ulog, tlog
 from drivers.mavlink.dialect import mav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Sample
@@ -96,7 +98,7 @@ def ulog_seeds() -> Iterator[bytes]:
         "vehicle_imu_status": ("uint32_t[3] accel_clipping;float accel_vibration_metric", struct.pack("<3If", 1, 2, 3, 12)),
         "event": ("uint32_t id", struct.pack("<I", 17)),
     }  # fmt: skip
-    head = px4_ulog.MAGIC + b"\x01" + struct.pack("<Q", 1000)
+    head = ULOG_MAGIC + b"\x01" + struct.pack("<Q", 1000)
     formats = b"".join(_ulog("F", f"{name}:uint64_t timestamp;{fields};".encode()) for name, (fields, _) in topics.items())
     adds = b"".join(_ulog("A", struct.pack("<BH", 0, i) + name.encode()) for i, name in enumerate(topics))
     rows = b"".join(
@@ -142,5 +144,5 @@ TARGETS = {
     "dataflash": Target(reader("log.bin", dataflash.read, lambda path: [dataflash.read_history(path)]), dataflash_seeds),
     "ulog": Target(reader("log.ulg", px4_ulog.read, lambda path: [px4_ulog.read_history(path)]), ulog_seeds),
     "tlog": Target(reader("x.tlog", tlog.read, lambda path: [tlog.read_history(path)]), tlog_seeds),
-    "ardrone_capture": Target(reader("x", ardrone_capture.samples, ardrone_capture.frames), capture_seeds, 8192),
+    "ardrone_capture": Target(reader("x", capture.samples, capture.frames), capture_seeds, 8192),
 }

@@ -14,8 +14,12 @@ import pytest
 from benches.house_counts import OWNERS
 
 ROOT = Path(__file__).parents[1]
-REMOVABLE = ("MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires")
+REMOVABLE = (
+    "MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires", "imports of others' files", "pads from pictures, printing",
+)  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
+TESTS = {"imports of others' files": ("tests/companion/test_config_import.py",)}
+"""Tests of a capability by its command alone, which import nothing of it."""
 BUILT = ("estimator/core", "sitl/core")
 LEFT_OUT = (
     "qualification/", "tests/benches/", "tests/companion/test_capabilities.py", "tests/docs/", "tests/fuzz/", "tests/mutants/",
@@ -54,7 +58,7 @@ def kept_without(owner: str) -> list[str]:
     """Return the files of the tree that stay without a capability; tests that import what is gone go, too."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
     gone = modules_of(path for path in listed if path.startswith(OWNERS[owner]))
-    files = [path for path in listed if not path.startswith((*OWNERS[owner], *LEFT_OUT))]
+    files = [path for path in listed if not path.startswith((*OWNERS[owner], *TESTS.get(owner, ()), *LEFT_OUT))]
     tests = {path: names_in((ROOT / path).read_text()) for path in files if path.startswith("tests/") and path.endswith(".py")}
     while lost := [path for path, names in tests.items() if any(within(name, gone) for name in names)]:
         gone |= modules_of(lost)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.cli.main import main
+from companion.tools.pad_price import CAMERA, planted, random_pose, view
 from companion.tools.pads.pictures import check_pictures
-from companion.tools.pads.price import CAMERA, planted, random_pose, view
 from estimator.vision.pad.pad import Pad
 from estimator.vision.pad.shapes import part_of
 from tests.support.pad_scenes import DATA, load_pad

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.settings.load import read_toml
-from companion.tools.pads.price import CAMERA, VIEWS, kind_of, planted, price, view
+from companion.tools.pad_price import CAMERA, VIEWS, kind_of, planted, price, view
 from estimator.contracts.geometry import Rotation
 from estimator.contracts.samples import Frame
 from estimator.vision.camera.pose import PadPose
@@ -52,7 +52,7 @@ def test_a_pad_that_clutter_is_taken_for_too_often_has_to_tell_more_unless_that_
 
 
 def test_a_pad_of_any_polarity_is_found_and_followed_in_reversed_light_and_costs_twice_the_clutter(monkeypatch) -> None:
-    monkeypatch.setattr("companion.tools.pads.price._EACH", 2)
+    monkeypatch.setattr("companion.tools.pad_price._EACH", 2)
     keys = read_toml(next(p for p in USERS if p.stem == "house"))
     pad, drawn_alone = Pad.from_mapping({**keys, "polarity": "any"}), Pad.from_mapping(keys)
     pose = PadPose(Rotation.from_rpy(0.1, 0.0, 0.4), np.array([0.0, 0.0, CAMERA.fx * pad.disc_radius_m / 40.0]))

@@ -26,6 +26,7 @@ from companion.parts.page.access import make_token
 from companion.parts.page.link import certify, network_address, qr_code
 from companion.service.assemble import live, make_daemon
 from companion.service.daemon import Daemon
+from companion.settings.capabilities import require_key
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
 from companion.settings.load import kept_folder, load, shipped
 from companion.settings.model import CameraSettings, PadSettings, Settings
@@ -46,6 +47,8 @@ _REPORT_S = 7.0
 _SETTLE_S = 0.5  # time that the simulated vehicle flies on after the service has ended
 _PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
+_LIVE = "foxglove"
+"""The key of [http] that serves live data, where its capability is installed."""
 _KEEP_EACH = 4
 """Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
 
@@ -256,9 +259,10 @@ def _with_http(settings: Settings, args: argparse.Namespace, place: HttpSettings
     token_file = folder / "page.token"
     token_file.touch(0o600)
     token_file.write_text(token)
-    page, foxglove, endpoint = args.page is not None, args.foxglove is not None, "https" if place.certificate_file else "http"
+    page, live, endpoint = args.page is not None, args.foxglove is not None, "https" if place.certificate_file else "http"
     given = str(token_file) if page else ""
-    http = structs.replace(place, endpoint=endpoint, token_file=given, page=page, foxglove=foxglove)
+    served = structs.asdict(place) | {"endpoint": endpoint, "token_file": given, "page": page}
+    http = structs.replace(settings.http, **served, **({_LIVE: live} if hasattr(settings.http, _LIVE) else {}))
     return structs.replace(
         settings, http=http, guidance=structs.replace(settings.guidance, start="signal") if page else settings.guidance
     )
@@ -282,7 +286,7 @@ async def _announce(http: HttpSettings, token: str) -> None:
     if secure:
         print_line("a browser asks once whether to trust this computer's own certificate")
         sys.stderr.write(qr_code(link) if sys.stderr.isatty() else "")
-    if http.foxglove:
+    if getattr(http, _LIVE, False):
         query = f"?token={token}" if http.page else ""
         print_line(f"live for Foxglove (Open connection, Foxglove WebSocket): ws{secure}://{address}/live{query}")
 
@@ -292,6 +296,8 @@ def _place(args: argparse.Namespace) -> HttpSettings | None:
     option, given = ("--page", args.page) if args.page is not None else ("--foxglove", args.foxglove)
     if given is None:
         return None
+    if args.foxglove is not None:
+        require_key(f"http.{_LIVE}", "--foxglove")
     host, port = listening(given, option)
     secured = "", ""
     if not on_loopback(host):

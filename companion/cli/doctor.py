@@ -30,7 +30,7 @@ from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot, decode,
 from companion.tools.doctor.undo import OnResult, PlannedWrite, UndoFile, WriteResult, same, why_not_written, write_parameters
 from drivers.clock import SystemClock
 from drivers.files import Largest, bytes_of
-from drivers.imports.log_history import LogHistory
+from drivers.log_history import LogHistory
 from drivers.mavlink.autopilot import open_autopilot
 from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions, autopilot_of

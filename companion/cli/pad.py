@@ -26,13 +26,14 @@ from companion.cli.outputs import PAD_FILE, PREVIEW, SHEETS, check_output, outpu
 from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped, write_whole
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
+from companion.tools.pad_price import MOUNT, VIEWS, Price, price
 from companion.tools.pads.boards import BOARD_FILES, board
 from companion.tools.pads.photograph import fault_of, photographed
 from companion.tools.pads.pictures import check_pictures, lines
-from companion.tools.pads.price import MOUNT, VIEWS, Price, price
 from companion.tools.pads.svg import read_svg
-from companion.tools.pads.trace import Picture, drawn, file_text, traced
+from companion.tools.pads.trace import Picture, drawn, traced
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
+from companion.tools.tag_pad import file_text
 from drivers.camera import images
 from drivers.extras import require
 from drivers.files import Largest, bytes_of

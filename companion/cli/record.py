@@ -8,7 +8,7 @@ import heapq
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,13 +24,11 @@ from companion.parts.recorder.folder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
-from companion.settings.capabilities import offered
+from companion.settings.capabilities import importer_of, is_offered, offered
 from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
-from companion.settings.vessel import VesselOptions
-from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
-from drivers.imports.kinds import DECRYPT, FileKind, kind_of
-from drivers.log_stamps import Tell
+from drivers.file_kinds import DECRYPT, FileKind, kind_of
+from drivers.importer import ForeignFile, Importer, Read
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, Recoverable, in_words, refused
 from estimator.contracts.estimates import Verdict
@@ -188,6 +186,9 @@ def _cut(args: argparse.Namespace) -> int:
 class _Source(Struct, frozen=True):
     path: Path
     offset_ns: int
+    kind: FileKind
+    importer: Importer | None
+    """Another package's reader of it."""
     topic: str = ""
     """Topic of a bag's camera that is read; empty for the best."""
 
@@ -199,34 +200,22 @@ class _Source(Struct, frozen=True):
             yield structs.replace(datum, stamp=moved)
 
     def _own(self, size: tuple[int, int]) -> Iterator[Sample | Frame]:
-        path, kind = self.path, kind_of(self.path)
-        reader = _READERS.get(kind)
-        if reader is not None:
-            return iter(reader(path, self.note))
+        path, kind = self.path, self.kind
+        file = ForeignFile(path, size, self.note, self.topic)
+        if self.importer is not None:
+            return iter(self.importer.read(file))
         if kind is FileKind.NETWORK:
-            return iter(_ship_log(path, kind).read(path, self.note))
-        if kind is FileKind.ROS_BAG:
-            bag: Iterator[Sample | Frame] = offered("importers", kind.name, f"{path}: {kind.value}")(path, self.note, self.topic)
-            return bag
-        if kind is FileKind.IMAGES:
-            return pictures.folder_frames(path, size, self.note)
-        if kind is FileKind.TABLE:
-            return iter(pictures.attitudes(path, self.note))
-        if kind is FileKind.PAVE or path.suffix.lower() == ".pave":
-            return ardrone_capture.frames(path)
-        if kind is FileKind.OTHER:
-            return pictures.video_frames(path, size)
-        raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
+            return iter(_ship_reader(path, kind).read(path, self.note))
+        if not is_offered("importers", kind.name):
+            raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
+        read: Read = offered("importers", kind.name, f"{path}: {kind.value}")
+        return iter(read(file))
 
     def note(self, text: str) -> None:
         """Print a note on the file."""
         sys.stderr.write(f"decklander: {self.path}: {text}\n")
 
 
-_READERS: dict[FileKind, Callable[[Path, Tell], Iterable[Sample]]] = {
-    FileKind.ULOG: px4_ulog.read, FileKind.DATAFLASH: dataflash.read, FileKind.TLOG: tlog.read,
-    FileKind.NAVDATA: ardrone_capture.samples,
-}  # fmt: skip
 _INSTEAD = {
     FileKind.PARAMETERS: "give it to `decklander doctor`",
     FileKind.ENCRYPTED: DECRYPT,
@@ -239,12 +228,14 @@ _INSTEAD = {
 
 def _source(text: str) -> _Source:
     path, at, offset = text.rpartition("@")
-    if not at or Path(text).exists():
-        return _Source(Path(text), 0)
-    try:
-        return _Source(Path(path), round(float(offset) * 1e9))
-    except (ValueError, OverflowError) as why:
-        raise BadInput(f"{text}: after @ comes a number of seconds") from why
+    offset_ns, file = 0, Path(text)
+    if at and not file.exists():
+        try:
+            offset_ns, file = round(float(offset) * 1e9), Path(path)
+        except (ValueError, OverflowError) as why:
+            raise BadInput(f"{text}: after @ comes a number of seconds") from why
+    importer = importer_of(file)
+    return _Source(file, offset_ns, FileKind.OTHER if importer else kind_of(file), importer)
 
 
 def _import(args: argparse.Namespace) -> int:
@@ -258,8 +249,8 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ship_log(path: Path, kind: FileKind) -> Any:
-    """Return the module that reads logs of a ship of this kind."""
+def _ship_reader(path: Path, kind: FileKind) -> Any:
+    """Return what reads logs of a ship of this kind."""
     return offered("importers", kind.name, f"{path}: {kind.value}")
 
 
@@ -269,22 +260,21 @@ def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, in
     Raises:
         BadInput: a ship's log is among them, and the settings know no ship.
     """
-    kinds = {s.path: kind_of(s.path) for s in sources}
+    kinds = {s.path: s.kind for s in sources}
     of_ship = [(path, kind) for path, kind in kinds.items() if kind in (FileKind.SENTENCES, FileKind.NETWORK)]
-    if of_ship and settings.vessel == VesselOptions() and not sources_of_ship(settings):
+    readers = {kind: _ship_reader(path, kind) for path, kind in of_ship}
+    if of_ship and settings.vessel == type(settings.vessel)() and not sources_of_ship(settings):
         path, kind = of_ship[0]
         raise BadInput(f"{path}: {kind.value}: text, and no video or flight; give settings whose table [vessel] knows the ship")
     logs = [s for s in sources if kinds[s.path] is FileKind.SENTENCES]
-    began_s = {path: _ship_log(path, kind).began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
+    began_s = {path: readers[kind].began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
     zero_s = min(began_s.values(), default=0.0)
     if max(began_s.values(), default=0.0) - zero_s < _DAY_S:
         later = {path: round(1e9 * (at_s - zero_s)) for path, at_s in began_s.items()}
         sources = [structs.replace(s, offset_ns=s.offset_ns + later.get(s.path, 0)) for s in sources]
     streams = [s.data(size) for s in sources if s not in logs]
     if logs:
-        sentences = _ship_log(logs[0].path, FileKind.SENTENCES)
-        of, vessel = [sentences.SentenceLog(s.path, s.offset_ns * 1e-9) for s in logs], settings.vessel
-        streams.append(sentences.read(of, logs[0].note, vessel.mmsi, vessel.nmea_simulated))
+        streams.append(readers[FileKind.SENTENCES]([(s.path, s.offset_ns) for s in logs], logs[0].note, settings))
     return streams
 
 

@@ -110,7 +110,7 @@ def _calibrate_pad(settings: Settings) -> None:
         sys.stderr.write(f"pad {pad.name} has no calibration, and this user no home to keep one in: set HOME\n")
         return
     # Few starts need it.
-    from companion.tools.pads.price import price
+    from companion.tools.pad_price import price
 
     sys.stderr.write(f"pad {pad.name} has no calibration: searching clutter for it, once\n")
     progress = WorkProgress("searching views without and with the pad", "views").take

@@ -4,14 +4,15 @@ Nothing else names a capability. Where its modules are not installed the rest wo
 it is refused with one line that says what to install.
 
 A package offers another kind of vehicle as an entry point of the group `decklander.vehicles`, under the word that `vehicle.kind`
-then holds: a `VehicleKind`.
+then holds: a `VehicleKind`. One of the group `decklander.importers` is a `drivers.importer.Importer`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
 from importlib import import_module
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,10 +22,14 @@ from estimator.contracts.errors import BadInput, refused
 if TYPE_CHECKING:  # the command line's help needs the table and no settings
     from importlib.metadata import EntryPoint
 
+    from msgspec import Struct
+
     from companion.settings.part_table import PartTable
+    from drivers.importer import Importer
     from drivers.vehicle import VehicleOptions
 
 VEHICLE_GROUP = "decklander.vehicles"
+IMPORTER_GROUP = "decklander.importers"
 Reference = tuple[str, tuple[str, ...], Callable[[], object]]
 """A settings key, the files that it names, and a function that reads them; without files one that looks for packages."""
 References = Callable[[Any], Iterator[Reference]]
@@ -69,6 +74,8 @@ class Capability(NamedTuple):
     """The function that yields the files that the settings name for it (`References`), as module:object."""
     tables: Mapping[str, str] = _NONE
     """The tables of the settings that it registers, each a `PartTable` as module:object."""
+    extended: Mapping[str, str] = _NONE
+    """The tables of ours that it adds keys to, each by a subclass with them, as module:object; a table is extended by one."""
     vehicles: Mapping[str, VehicleKind] = _NONE
     """Kinds of vehicles by the word of `vehicle.kind`."""
     commands: Mapping[str, Command] = _NONE
@@ -78,7 +85,10 @@ class Capability(NamedTuple):
     exporters: Mapping[str, str] = _NONE
     """Formats that `record export` writes, each by a function of a recording and a path, as module:object."""
     importers: Mapping[str, str] = _NONE
-    """Readers of others' files, for `record import`, by the kind of file (`FileKind`), as module:object or module."""
+    """Readers of others' files, for `record import`, by the kind of file (`FileKind`): each a `drivers.importer.Read` as
+    module:object; of a ship's logs all at once, or a module."""
+    histories: Mapping[str, str] = _NONE
+    """Functions that read an `AutopilotLog` for `doctor`, by the kind of file, as module:object."""
 
     def wanted_by(self, settings: Any) -> str:
         """Return the key of the settings that wants it; empty if none does."""
@@ -106,6 +116,7 @@ CAPABILITIES = (
         "ardrone",
         "drivers.ardrone",
         vehicles={"ardrone": VehicleKind("drivers.ardrone.options:ArDroneOptions", "companion.parts.ardrone.make:make_vehicle")},
+        importers={"NAVDATA": "drivers.ardrone.capture:import_navdata", "PAVE": "drivers.ardrone.capture:import_video"},
     ),
     Capability(
         "the ship's wires",
@@ -116,11 +127,11 @@ CAPABILITIES = (
         join="companion.parts.ship.part:join",
         references="companion.parts.ship.part:references",
         tables={"rtk": "companion.parts.ship.options:RtkOptions"},
+        extended={"vessel": "companion.parts.ship.options:WiredVessel"},
         examine="companion.parts.ship.examine:examine",
         importers={
-            "SENTENCES": "drivers.nmea.sentence_log",
+            "SENTENCES": "companion.parts.ship.logs:read_sentences",
             "NETWORK": "drivers.nmea.network_log",
-            "MOTION": "drivers.nmea.motion",
         },
     ),
     Capability(
@@ -142,18 +153,26 @@ CAPABILITIES = (
         keys=("camera.source=ros2",),
         commands={"ros2": Command("fly", "companion.cli.ros2", "publish a flight in ROS 2 while it is flown")},
         exporters={"ros2": "companion.tools.ros2.bags:export"},
-        importers={"ROS_BAG": "companion.tools.ros2.bags:read"},
+        importers={"ROS_BAG": "companion.tools.ros2.bags:import_bag"},
     ),
     Capability(
         "the gamepad",
         "gamepad",
         "companion.parts.gamepad",
         keys=("operator.gamepad",),
+        extended={"operator": "companion.parts.gamepad.options:GamepadOperator"},
         join="companion.parts.gamepad.part:join",
         references="companion.parts.gamepad.mapping_file:references",
         commands={"gamepad": Command("fly", "companion.cli.gamepad", "list gamepads and show what they send")},
     ),
-    Capability("Foxglove", "foxglove", "companion.parts.live", keys=("http.foxglove",), join="companion.parts.live.part:join"),
+    Capability(
+        "Foxglove",
+        "foxglove",
+        "companion.parts.live",
+        keys=("http.foxglove",),
+        extended={"http": "companion.parts.live.options:LiveHttp"},
+        join="companion.parts.live.part:join",
+    ),
     Capability(
         "pads from pictures and printing",
         "pads",
@@ -182,6 +201,19 @@ CAPABILITIES = (
         "the import of others' files",
         "logs",
         "drivers.imports",
+        importers={
+            "ULOG": "drivers.imports.readers:ulog",
+            "DATAFLASH": "drivers.imports.readers:dataflash_log",
+            "TLOG": "drivers.imports.readers:telemetry_log",
+            "IMAGES": "drivers.imports.readers:images",
+            "TABLE": "drivers.imports.readers:attitudes",
+            "OTHER": "drivers.imports.readers:video",
+        },
+        histories={
+            "ULOG": "drivers.imports.px4_ulog:read_history",
+            "DATAFLASH": "drivers.imports.dataflash:read_history",
+            "TLOG": "drivers.imports.tlog:read_history",
+        },
         commands={
             "config import": Command("set up", "companion.cli.config_import", "make a settings file of another landing program's")
         },
@@ -193,14 +225,20 @@ VEHICLES: Mapping[str, VehicleKind] = {
 }
 
 
+def is_offered(field: str, name: str) -> bool:
+    """Return whether a capability, installed or not, has a name in one of its mappings."""
+    return any(name in getattr(one, field) for one in CAPABILITIES)
+
+
 def offered(field: str, name: str, wanted: str) -> Any:
-    """Return what capabilities offer under a name in one of their mappings (`exporters`, `importers`).
+    """Return what capabilities offer under a name in one of their mappings (`exporters`, `importers`, `histories`).
 
     Args:
         wanted: what needs it, for the error.
 
     Raises:
         BadInput: it is not installed.
+        StopIteration: no capability has it (`is_offered`).
     """
     capability = next(one for one in CAPABILITIES if name in getattr(one, field))
     capability.require(wanted)
@@ -219,15 +257,36 @@ def part_tables() -> dict[str, type[PartTable]]:
     return {name: imported(table) for capability in installed for name, table in capability.tables.items()}
 
 
-def refuse_missing_tables(names: Iterable[str]) -> None:
-    """Refuse tables of a settings file whose capability is not installed.
+def extended_tables() -> dict[str, type[Struct]]:
+    """Return the tables of ours with the keys of the capabilities that are installed, by name."""
+    installed = (capability for capability in CAPABILITIES if is_installed(capability.module))
+    return {name: imported(table) for capability in installed for name, table in capability.extended.items()}
+
+
+def refuse_missing(tables: Mapping[str, Any]) -> None:
+    """Refuse tables and keys of a settings file whose capability is not installed.
 
     Raises:
         BadInput: one is not; the message says what to install.
     """
+    for capability in (one for one in CAPABILITIES if not is_installed(one.module)):
+        for name in capability.tables.keys() & tables.keys():
+            capability.require(f"[{name}]")
+        for key in capability.keys:
+            table, _, name = key.partition(".")
+            if table in capability.extended and name in (tables.get(table) or ()):
+                capability.require(key)
+
+
+def require_key(key: str, wanted: str) -> None:
+    """Refuse what needs a key of the settings where its capability is not installed.
+
+    Raises:
+        BadInput: it is not; the message says what to install.
+    """
     for capability in CAPABILITIES:
-        for name in capability.tables.keys() & set(names):
-            capability.require(f"[{name}]") if not is_installed(capability.module) else None
+        if key in capability.keys:
+            capability.require(wanted)
 
 
 def vehicle_tables() -> tuple[type[VehicleOptions], ...]:
@@ -269,3 +328,16 @@ def load_offered(entry: EntryPoint, wanted: str) -> Any:
     """
     with refused(f"{wanted} of {entry.value} cannot be loaded", Exception):
         return entry.load()
+
+
+def importer_of(path: Path) -> Importer | None:
+    """Return another package's importer that recognizes a file; None if there is none.
+
+    Raises:
+        BadInput: a package's importer cannot be loaded.
+    """
+    for name, entry in of_packages(IMPORTER_GROUP).items():
+        importer: Importer = load_offered(entry, f"the importer {name!r}")
+        if importer.recognizes(path):
+            return importer
+    return None

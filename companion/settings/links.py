@@ -27,7 +27,7 @@ def on_loopback(host: str) -> bool:
 
 
 class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
-    """One port for browsers and programs: the operator page, `/metrics` for Prometheus, `/health`, and Foxglove's live data.
+    """One port for browsers and programs: the operator page, `/metrics` for Prometheus, and `/health`.
 
     Whoever has the token watches, and commands if there is a page (docs/page.md).
 
@@ -58,9 +58,6 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     key_file: Annotated[str, text("file with the private key of the certificate (PEM)", 4096, shortest=0, public=True)] = ""
     page: Annotated[bool, choice("whether the operator page is served", public=True)] = True
-    foxglove: Annotated[
-        bool, choice("whether Foxglove and Lichtblick may watch the flight live, at /live (docs/recordings.md)", public=True)
-    ] = False
     hosts: Annotated[
         str,
         text(
@@ -70,15 +67,6 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
             shortest=0,
         ),
     ] = ""
-    origins: Annotated[
-        str,
-        text(
-            "pages that may watch at /live without a token from a browser on this machine, by origin, separated by commas; "
-            "programs that are no browser name none",
-            4096,
-            shortest=0,
-        ),
-    ] = "https://app.foxglove.dev, file://"
     viewers_max: Annotated[int, number("browsers and programs that may watch at a time", "1", 1, 32)] = 8
     picture_rate_hz: Annotated[float, number("largest rate of the live picture", "Hz", 1.0, 60.0)] = 15.0
     picture_codec: Annotated[
@@ -89,10 +77,6 @@ class HttpSettings(Struct, frozen=True, forbid_unknown_fields=True):
         int, number("largest rate of the page's picture as H.264, if it had 30 pictures a second", "kbit/s", 100, 20_000)
     ] = 2000
     jpeg_quality: Annotated[int, number("quality of the live picture as JPEG", "1", 10, 95)] = 70
-    foxglove_frames: Annotated[
-        Literal["jpeg", "h264", "none"],
-        choice("how /live sends the picture: as images; as a video, which takes about a tenth of that; or not at all"),
-    ] = "jpeg"
 
     def __post_init__(self) -> None:
         if self.endpoint == "off":

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Un
 
 from msgspec import Meta, Struct, defstruct
 
-from companion.settings.capabilities import part_tables, refuse_missing_tables, vehicle_tables
+from companion.settings.capabilities import extended_tables, part_tables, refuse_missing, vehicle_tables
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import BridgeOptions, HttpSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
@@ -34,7 +34,7 @@ from estimator.vision.options import TrackerOptions
 
 _MASTS_M = 15.0
 """Height over the sea of the masts of the smallest ship with a pad: a patrol boat of 20 m."""
-_Table = TypeVar("_Table", bound=PartTable)
+_Table = TypeVar("_Table", bound=Struct)
 _SHIPPED_OR_PATH = "the name of a shipped one, or a path"
 
 
@@ -127,8 +127,8 @@ class CommonSettings(Struct, frozen=True, forbid_unknown_fields=True):
         return [table for name in self.__struct_fields__ if isinstance(table := getattr(self, name), PartTable)]
 
     def of(self, kind: type[_Table]) -> _Table:
-        """Return the table of a capability."""
-        return next(table for table in self.part_tables() if isinstance(table, kind))
+        """Return the table of a capability, or one of ours with its keys."""
+        return next(table for name in self.__struct_fields__ if isinstance(table := getattr(self, name), kind))
 
 
 if TYPE_CHECKING:
@@ -136,14 +136,16 @@ if TYPE_CHECKING:
 else:
     Settings = defstruct(
         "Settings",
-        [(name, table, table()) for name, table in part_tables().items()],
+        [(name, table, table()) for name, table in {**part_tables(), **extended_tables()}.items()],
         bases=(CommonSettings,),
         namespace={"__doc__": "All settings. `companion.settings.load.load` reads them from a file."},
         module=__name__,
         frozen=True,
         forbid_unknown_fields=True,
     )
-"""All settings: with a table for each capability that is installed. `companion.settings.load.load` reads them from a file."""
+"""All settings, with the tables and further keys of the capabilities that are installed.
+
+`companion.settings.load.load` reads them from a file."""
 
 
 def model_with(vehicle: type[VehicleOptions]) -> type[Settings]:
@@ -171,7 +173,7 @@ def joined(data: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(inside, Mapping):
         raise BadInput(f"{EXPERT} must be a table of keys")
     outside = {name: value for name, value in data.items() if name != EXPERT}
-    refuse_missing_tables([*outside, *inside])
+    refuse_missing(_merged(outside, inside))
     misplaced = [f"{path} belongs in [{EXPERT}.{path.rpartition('.')[0]}]" for path, public in _known(outside) if not public]
     misplaced += [f"{EXPERT}.{path} belongs in [{path.rpartition('.')[0]}]" for path, public in _known(inside) if public]
     if misplaced:

@@ -58,7 +58,7 @@ class HandoverOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
 
 
 class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The commands of people on this computer: the terminal (`decklander fly`) and the gamepad.
+    """The commands of people on this computer: the terminal (`decklander fly`).
 
     Raises:
         ValueError: the socket is neither a word nor an absolute path.
@@ -73,17 +73,6 @@ class OperatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             public=True,
         ),
     ] = "auto"
-    gamepad: Annotated[
-        str,
-        text(
-            'mapping of the gamepad: the name of a shipped file, or a path from the working directory; "off" for no gamepad',
-            4096,
-            public=True,
-        ),
-    ] = "off"
-    gamepad_device: Annotated[
-        str, text('a part of the gamepad\'s name, or its path; "any" for the first one that is found', 256, public=True)
-    ] = "any"
     manual: ManualOptions = ManualOptions()
     switch: SwitchOptions = SwitchOptions()
     handover: HandoverOptions = HandoverOptions()

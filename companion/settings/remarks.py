@@ -16,9 +16,6 @@ from companion.settings.model import Settings, in_file
 from companion.settings.sound import beyond_sound
 from drivers.camera.options import DRIVEN_SOURCES
 
-_AIS_PERIOD_S = 10.0
-"""Interval of the AIS reports of a ship under way at up to 14 knots (ITU-R M.1371-5, annex 1, table 1)."""
-
 
 class Contradiction(Struct, frozen=True):
     """Settings that are good each for itself and do not go together."""
@@ -31,23 +28,22 @@ class Contradiction(Struct, frozen=True):
 
 def sources(settings: Settings) -> tuple[str, ...]:
     """Return the keys that name a source of the ship's place."""
-    named = {
-        "vessel.nmea": bool(settings.vessel.nmea),
-        "vessel.bus": bool(settings.vessel.bus),
-        "vessel.mqtt": settings.vessel.mqtt,
-        **{f"vehicle.{key}": bool(getattr(settings.vehicle, key)) for key in settings.vehicle.ship_keys},
-    }
-    return tuple(key for key, is_set in named.items() if is_set)
+    return tuple(key for key in _source_keys(settings) if _at(settings, key))
+
+
+def _source_keys(settings: Settings) -> list[str]:
+    """Return the keys that name a source of the ship's place if they are set."""
+    vehicle = settings.vehicle.ship_keys
+    return [*(f"vessel.{key}" for key in settings.vessel.source_keys), *(f"vehicle.{key}" for key in vehicle)]
 
 
 def contradiction(settings: Settings) -> Contradiction | None:
     """Return what does not go together about the ship's place, or None."""
     reported, flies_there = sources(settings), settings.guidance.rendezvous.enabled
     if flies_there and not reported:
-        by_link = "".join(f", vehicle.{key}" for key in settings.vehicle.ship_keys)
         return Contradiction(
             "guidance.rendezvous.enabled is true, but nothing tells where the ship is",
-            f"set a source (vessel.nmea, vessel.bus, vessel.mqtt{by_link}), or the drone refuses where the pad is not in sight",
+            f"set a source ({', '.join(_source_keys(settings))}), or the drone refuses where the pad is not in sight",
             refuses=True,
         )
     if reported and not flies_there:
@@ -56,10 +52,9 @@ def contradiction(settings: Settings) -> Contradiction | None:
             "set guidance.rendezvous.enabled = true to fly to it",
             refuses=False,
         )
-    if reported == ("vessel.nmea",) and settings.vessel.mmsi and settings.vessel.age_max_s < _AIS_PERIOD_S:
+    if why := settings.vessel.reported_too_rarely(reported):
         return Contradiction(
-            f"expert.vessel.age_max_s is {settings.vessel.age_max_s:g} s, but AIS reports of a ship under way come every "
-            f"{_AIS_PERIOD_S:g} s",
+            f"expert.vessel.age_max_s is {settings.vessel.age_max_s:g} s, but {why}",
             "where no other sentences give her place, set age_max_s = 12 and a smaller acceleration_m_s2 in [expert.vessel]",
             refuses=False,
         )

@@ -1,18 +1,12 @@
 """The settings of the ship: sources and limits of her reports, and the flight to her."""
 
-import ipaddress
 import math
 from typing import Annotated
 
 from msgspec import Struct
 
-from drivers.endpoint import Endpoint, parse_bus, parse_endpoint
-from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
+from estimator.contracts.keys import CheckedOptions, choice, tuning
 from estimator.ship_motion import ShipMotionOptions
-
-WHERE = "ADDRESS:PORT of this computer for UDP, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
-"""The ways by which a ship's wire arrives."""
 
 
 class ReportLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
@@ -126,76 +120,16 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
         ValueError: an address that cannot be one, a number outside its range, or two keys that do not go together.
     """
 
-    nmea: Annotated[
-        str, text(f"where sentences of NMEA 0183 and AIS come from: {WHERE}; empty for none", 256, shortest=0, public=True)
-    ] = ""
-    nmea_from: Annotated[
-        str,
-        text(
-            "by UDP: the sender's address; empty for the first that sends, until it is silent for 30 s",
-            64,
-            shortest=0,
-            public=True,
-        ),
-    ] = ""
-    mmsi: Annotated[
-        int, number("MMSI of the ship, whose AIS reports alone are taken; 0 takes none", "1", 0, 999_999_999, public=True)
-    ] = 0
-    nmea_simulated: Annotated[
-        bool, choice("whether sentences that say that they are simulated are taken like a fix: for a rehearsal only")
-    ] = False
-    bus: Annotated[
-        str,
-        text(
-            "her network, NMEA 2000 or Signal K: can://can0; a gateway at tcp://HOST:PORT or serial:///dev/NAME:BAUD; "
-            "signalk://HOST:PORT; empty for none",
-            256,
-            shortest=0,
-            public=True,
-        ),
-    ] = ""
     mqtt: Annotated[
         bool, choice("whether reports arrive on the topic `vessel`, from whom commands may come (`mqtt.commands`)", public=True)
     ] = False
     motion_sensor: ShipMotionOptions = ShipMotionOptions()
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.nmea:
-            found = self.endpoint()
-            if self.nmea_from and found.scheme != "udpin":
-                raise ValueError(f"nmea_from names the sender of sentences by UDP, and nmea is {self.nmea!r}")
-        if self.bus:
-            parse_bus(self.bus)
-        if self.nmea_from:
-            ipaddress.ip_address(self.nmea_from)
-        if (self.nmea_from or self.mmsi) and not self.nmea:
-            raise ValueError("nmea_from and mmsi belong to nmea, which is empty")
+    @property
+    def source_keys(self) -> tuple[str, ...]:
+        """The keys that name a source of her place if they are set."""
+        return ("mqtt",)
 
-    def endpoint(self) -> Endpoint:
-        """Return the way by which sentences arrive.
-
-        Raises:
-            ValueError: `nmea` is none.
-        """
-        if "://" not in self.nmea:
-            return _parsed(f"udpin://{self.nmea}")
-        found = _parsed(self.nmea)
-        if found.scheme not in ("tcp", "serial"):
-            raise ValueError(f"nmea: write ADDRESS:PORT for sentences by UDP, found {self.nmea!r}")
-        return found
-
-
-def _parsed(url: str) -> Endpoint:
-    try:
-        found = parse_endpoint(url)
-        if found.scheme == "udpin":
-            ipaddress.ip_address(found.host)
-    except (BadInput, ValueError):
-        raise ValueError(
-            f"nmea must be ADDRESS:PORT with a numeric address, tcp://HOST:PORT or serial:///dev/NAME:BAUD, found "
-            f"{url.removeprefix('udpin://')!r}"
-        ) from None
-    if not found.port >= 1 or (found.scheme != "serial" and found.port > 65535):
-        raise ValueError(f"nmea: the port must lie in 1 to 65535, found {found.port}")
-    return found
+    def reported_too_rarely(self, sources: tuple[str, ...]) -> str:
+        """Return why reports of these sources alone come more rarely than `age_max_s` lets them; empty if they do not."""
+        return ""

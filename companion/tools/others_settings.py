@@ -15,8 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from companion.settings.load import complete, from_file, read_camera, read_text, write_whole
-from companion.tools.pads.boards import FAMILY, fiducial, painted
-from companion.tools.pads.trace import file_text
+from companion.tools.tag_pad import FAMILY, fiducial, file_text, painted
 from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.vision.pad.fiducial import PaintedFiducial
 from estimator.vision.pad.pad import Pad

@@ -10,7 +10,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from drivers.files import Largest, bytes_of
-from drivers.imports.log_history import AutopilotLog, LogHistory
+from drivers.log_history import AutopilotLog, LogHistory
 from drivers.log_stamps import Tell, quiet, timeline
 from drivers.mavlink.boot_clock import BootClock
 from drivers.mavlink.codec import Codec

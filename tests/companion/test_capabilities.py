@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,15 +15,20 @@ from msgspec import structs
 
 from companion.cli.commands import OWNERS
 from companion.cli.main import main
+from companion.recording.reading import open_recording
 from companion.settings import capabilities, schema
 from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, imported, vehicle_kind
-from companion.settings.load import from_mapping, load
+from companion.settings.load import from_file, from_mapping, load
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_installed
 from drivers import extras
+from drivers.importer import ForeignFile
+from drivers.log_stamps import stamp
 from drivers.vehicle import VehicleOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import text
+from estimator.contracts.samples import Range, Sample
+from estimator.contracts.time import NS_PER_S
 
 ROOT = Path(__file__).parents[2]
 _PLAIN = """
@@ -80,6 +86,57 @@ def test_a_package_offers_a_vehicle_that_settings_then_hold(monkeypatch: pytest.
         from_mapping(tables, "rig.toml")
     with pytest.raises(BadInput, match=r'^vehicle\.kind must be one of "ardrone", "kite", "mavlink", found "ufo"$'):
         vehicle_kind("ufo")
+
+
+class Diary:
+    """An importer of another package: a line of text a range, in decimetres and seconds."""
+
+    def recognizes(self, path: Path) -> bool:
+        return path.suffix == ".diary"
+
+    def read(self, file: ForeignFile) -> Iterator[Sample]:
+        for second, line in enumerate(file.path.read_text().split()):
+            yield Range(stamp(second * NS_PER_S), 0.1 * float(line), 0.01)
+
+
+def test_a_package_offers_an_importer_of_its_own_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    offered = SimpleNamespace(name="diary", value="diaries:IMPORTER", load=Diary)
+    monkeypatch.setattr(metadata, "entry_points", lambda group: [offered] if group == capabilities.IMPORTER_GROUP else [])
+    (tmp_path / "a.diary").write_text("31 28 25")
+    command = ["record", "import", f"{tmp_path / 'a.diary'}@2", "--config", "sim", "--output", str(tmp_path / "a.mcap")]
+    assert main(command) == 0
+    ranges = [(event.stamp.measured_at // NS_PER_S, event.range_m) for event in open_recording([tmp_path / "a.mcap"]).events()]
+    assert ranges == [(2, pytest.approx(3.1)), (3, pytest.approx(2.8)), (4, pytest.approx(2.5))]
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        ("record import flight.ulg --config sim --output a.mcap", "flight.ulg: a PX4 log"),
+        ("doctor flight.ulg", "flight.ulg: a PX4 log"),
+        ("config import v.conf --out rig.toml", "decklander config import"),
+    ],
+)
+def test_files_of_others_are_refused_where_their_import_is_not_installed(
+    words: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "flight.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8))
+    monkeypatch.chdir(tmp_path)
+    found = extras.is_installed
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != "drivers.imports" and found(name))
+    assert main(words.split()) == 2
+    line = f"decklander: {what} needs the import of others' files, which is not installed: install the extra decklander[logs]\n"
+    assert capsys.readouterr().err == line
+
+
+@pytest.mark.parametrize("key", ["http.foxglove = true", 'operator.gamepad = "thesis"', 'vessel.nmea = "127.0.0.1:10110"'])
+def test_a_key_of_a_capability_that_is_not_installed_is_refused_in_a_settings_file(
+    key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capability = next(c for c in CAPABILITIES if key.partition(" ")[0] in c.keys)
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != capability.module)
+    with pytest.raises(BadInput, match=rf"^rig\.toml: {key.partition(' ')[0]} needs .* extra decklander\[{capability.extra}\]$"):
+        from_file(tomllib.loads(key), "rig.toml")
 
 
 @pytest.mark.parametrize("capability", [c for c in CAPABILITIES if c.keys], ids=lambda capability: capability.what)

@@ -17,6 +17,7 @@ from companion.base.http_server import HttpServer
 from companion.base.observer import Decision, NullObserver, Observer, ProcessedFrame
 from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, OrderSource
 from companion.base.watchdog import Pulse
+from companion.parts.live.options import LiveHttp
 from companion.parts.live.part import LiveFeed
 from companion.parts.mavlink.bridge import BridgePart
 from companion.parts.mqtt.options import MqttSettings
@@ -25,7 +26,6 @@ from companion.parts.page.endpoint import PageEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.service import assemble as service
 from companion.service.daemon import Daemon, DaemonSetup
-from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from companion.settings.model import Settings
 from drivers.reconnect import BackOff
@@ -257,7 +257,7 @@ def settings_with_everything(folder: Path) -> Settings:
         mqtt=msgspec.structs.replace(
             sim.of(MqttSettings), transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")
         ),
-        http=HttpSettings(endpoint="http", port=0, token_file=str(token), foxglove=True),
+        http=LiveHttp(endpoint="http", port=0, token_file=str(token), foxglove=True),
         bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
     )
 

@@ -18,9 +18,9 @@ import pytest
 from companion.cli.main import main
 from companion.cli.pad import clicked
 from companion.settings.load import read_toml
+from companion.tools.pad_price import CAMERA, planted, price, view
 from companion.tools.pads import foreign
 from companion.tools.pads.photograph import photographed
-from companion.tools.pads.price import CAMERA, planted, price, view
 from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import drawn, traced
 from companion.tools.print_pad.sheets import pad_drawing, sheets, svg

@@ -8,7 +8,7 @@ import pytest
 from companion.settings.files import key
 from companion.settings.load import load
 from companion.tools.doctor.gather_outside import parameters_of
-from drivers.imports.kinds import FileKind, kind_of
+from drivers.file_kinds import FileKind, kind_of
 from drivers.imports.pictures import attitudes
 from estimator.contracts.errors import BadInput
 from estimator.contracts.text import text_of

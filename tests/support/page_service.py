@@ -19,7 +19,6 @@ from companion.base.orders import HandledOrder
 from companion.guidance.pilot import Pilot, make_pilot
 from companion.parts.page import endpoint, recordings, viewer
 from companion.parts.page.make import make_page
-from companion.settings.links import HttpSettings
 from companion.settings.load import load
 from companion.settings.service import RecorderOptions
 from companion.settings.settings_file import SettingsFile
@@ -51,7 +50,9 @@ class PageService:
         token.chmod(0o600)
         given = {"endpoint": "http", "port": 0, "token_file": str(token)} | settings
         self.settings = structs.replace(
-            load("sim"), http=HttpSettings(**given), recorder=RecorderOptions(folder=str(folder / "recordings"))
+            load("sim"),
+            http=structs.replace(load("sim").http, **given),
+            recorder=RecorderOptions(folder=str(folder / "recordings")),
         )
         if autopilot is not None:
             self.settings = structs.replace(self.settings, vehicle=AutopilotOptions("udpin://127.0.0.1:0"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from companion.settings.load import read_toml
-from companion.tools.pads.price import CAMERA
+from companion.tools.pad_price import CAMERA
 from estimator.contracts.samples import Frame
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera.camera import Camera

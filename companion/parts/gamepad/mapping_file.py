@@ -5,6 +5,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion.parts.gamepad.options import GamepadOperator
 from companion.settings.capabilities import Reference
 from companion.settings.load import find_file, read_toml
 from companion.settings.model import Settings
@@ -29,5 +30,5 @@ def mapping_of(name_or_path: str) -> GamepadMapping:
 
 def references(settings: Settings) -> Iterator[Reference]:
     """Yield the mapping that the settings name."""
-    name = settings.operator.gamepad
+    name = settings.of(GamepadOperator).gamepad
     yield "operator.gamepad", (name,), lambda: mapping_of(name)

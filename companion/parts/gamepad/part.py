@@ -14,6 +14,7 @@ from companion.cycle.ports import Assembly
 from companion.guidance.pilot import Pilot
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
 from companion.parts.gamepad.mapping_file import mapping_of
+from companion.parts.gamepad.options import GamepadOperator
 from drivers.gamepad.device import AXES, AxisRange, EventDevice, events_in, gamepads
 from drivers.gamepad.mapping import STICKS, GamepadMapping, GamepadMemory, gamepad_step, positions, start
 from estimator.contracts.errors import SetupImpossible
@@ -182,7 +183,7 @@ class _Session:
 
 def join(service: Assembly) -> None:
     """Add the gamepad of the settings."""
-    operator = service.settings.operator
+    operator = service.settings.of(GamepadOperator)
     gamepad = GamepadPart(mapping_of(operator.gamepad), operator.gamepad_device, service.pilot, service.clock)
     service.observers.append(gamepad)
     service.add("gamepad", gamepad)

@@ -23,11 +23,11 @@ from companion.cycle.ports import Assembly
 from companion.facts import encode
 from companion.facts.wire import RequestRate
 from companion.guidance.pilot import Pilot
+from companion.parts.live.options import LiveHttp
 from companion.recording import channels
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.foxglove_protocol import CHANNELS, Subscribe, Unsubscribe
 from companion.recording.message_encoder import MessageEncoder
-from companion.settings.links import HttpSettings
 from drivers.clock import wall_offset_ns
 from drivers.mailbox import Line
 from estimator.contracts.estimates import FusionResult, Verdict
@@ -56,7 +56,7 @@ _ALIVE_S = 4.0
 """Interval of pings to a viewer, s; half of it without an answer ends the connection."""
 
 
-def topics(settings: HttpSettings) -> tuple[str, ...]:
+def topics(settings: LiveHttp) -> tuple[str, ...]:
     """Return the topics that are offered."""
     image = {"jpeg": {channels.IMAGE}, "h264": {channels.VIDEO}, "none": set[str]()}[settings.foxglove_frames]
     return tuple(t for t in channels.TOPICS if t not in _NEVER_LIVE and (t not in (channels.IMAGE, channels.VIDEO) or t in image))
@@ -72,7 +72,7 @@ class LiveFeed(NullObserver):
 
     def __init__(
         self,
-        settings: HttpSettings,
+        settings: LiveHttp,
         camera: Camera,
         pad: Pad,
         offset_ns: int,
@@ -277,14 +277,16 @@ class FoxgloveEndpoint:
     """
 
     def __init__(self, server: HttpServer, pilot: Pilot, health: Health, clock: Clock, name: str, offset_ns: int) -> None:
+        settings = server.settings
+        assert isinstance(settings, LiveHttp)
         self._server = server
         self.clock = clock
-        self.topics = topics(server.settings)
-        self._origins = {origin.strip().lower() for origin in server.settings.origins.split(",")}
+        self.topics = topics(settings)
+        self._origins = {origin.strip().lower() for origin in settings.origins.split(",")}
         self._viewers: list[LiveViewer] = []
         self._counts: Counter[str] = Counter()
         self._greetings = protocol.server_info(name, str(clock.now() + offset_ns)), protocol.advertise(self.topics)
-        self.feed = LiveFeed(server.settings, pilot.camera, pilot.pad, offset_ns, health, self._show)
+        self.feed = LiveFeed(settings, pilot.camera, pilot.pad, offset_ns, health, self._show)
         """The observer of the flight."""
         health.counters("foxglove", self.counted)
         server.serve("/live", self._live)

@@ -6,6 +6,7 @@ from contextlib import suppress
 
 from msgspec import structs
 
+from companion.parts.ship.options import WiredVessel
 from companion.settings.model import Settings
 from companion.tools.doctor.gather_service import ship_sources
 from companion.tools.doctor.snapshot import ServiceSnapshot
@@ -26,7 +27,7 @@ _LONGER = 2.5
 
 async def examine(snapshot: ServiceSnapshot, settings: Settings, clock: Clock, seconds: float) -> ServiceSnapshot:
     """Listen to her for some seconds as the service does; note her sources, and why one of the ways to her is closed."""
-    options = settings.vessel
+    options = settings.of(WiredVessel)
     choice, faults, taken = SourceChoice(), list[str](), list[object]()
     reader = NmeaReader(options.mmsi, options.nmea_simulated, choice)
     source = SentenceSource(options.nmea_from, lambda lines, at: taken.extend(reader.samples(lines, at)))

@@ -1,18 +1,94 @@
-"""The settings of GNSS receivers on ship and drone: the table [rtk]."""
+"""The settings of the ship's wires: keys of the table [vessel], and the table [rtk] of GNSS receivers on ship and drone."""
 
 import ipaddress
 import math
 from typing import Annotated
 
 from companion.settings.part_table import PartTable
-from companion.settings.vessel import WHERE
-from drivers.endpoint import Endpoint, parse_endpoint
+from companion.settings.vessel import VesselOptions
+from drivers.endpoint import Endpoint, parse_bus, parse_endpoint
 from drivers.relpos import RelposOptions
 from estimator.contracts.errors import BadInput
-from estimator.contracts.keys import check_ranges, choice, text, tuning
+from estimator.contracts.keys import check_ranges, choice, number, text, tuning
 
+WHERE = "ADDRESS:PORT of this computer for UDP, tcp://HOST:PORT or serial:///dev/NAME:BAUD"
+"""The ways by which a ship's wire arrives."""
+_AIS_PERIOD_S = 10.0
+"""Interval of the AIS reports of a ship under way at up to 14 knots (ITU-R M.1371-5, annex 1, table 1)."""
 _VECTOR = "three numbers with commas between"
 _REACH_M = 400.0  # longest vector between the antennas, and of an arm on board
+
+
+class WiredVessel(VesselOptions, frozen=True, forbid_unknown_fields=True):
+    """The ship's own reports of her place, velocity and heading. An autopilot's link has another source: `vehicle.vessel_id`.
+
+    Raises:
+        ValueError: an address that cannot be one, a number outside its range, or two keys that do not go together.
+    """
+
+    nmea: Annotated[
+        str, text(f"where sentences of NMEA 0183 and AIS come from: {WHERE}; empty for none", 256, shortest=0, public=True)
+    ] = ""
+    nmea_from: Annotated[
+        str,
+        text(
+            "by UDP: the sender's address; empty for the first that sends, until it is silent for 30 s",
+            64,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+    mmsi: Annotated[
+        int, number("MMSI of the ship, whose AIS reports alone are taken; 0 takes none", "1", 0, 999_999_999, public=True)
+    ] = 0
+    nmea_simulated: Annotated[
+        bool, choice("whether sentences that say that they are simulated are taken like a fix: for a rehearsal only")
+    ] = False
+    bus: Annotated[
+        str,
+        text(
+            "her network, NMEA 2000 or Signal K: can://can0; a gateway at tcp://HOST:PORT or serial:///dev/NAME:BAUD; "
+            "signalk://HOST:PORT; empty for none",
+            256,
+            shortest=0,
+            public=True,
+        ),
+    ] = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.nmea:
+            found = self.endpoint()
+            if self.nmea_from and found.scheme != "udpin":
+                raise ValueError(f"nmea_from names the sender of sentences by UDP, and nmea is {self.nmea!r}")
+        if self.bus:
+            parse_bus(self.bus)
+        if self.nmea_from:
+            ipaddress.ip_address(self.nmea_from)
+        if (self.nmea_from or self.mmsi) and not self.nmea:
+            raise ValueError("nmea_from and mmsi belong to nmea, which is empty")
+
+    def endpoint(self) -> Endpoint:
+        """Return the way by which sentences arrive.
+
+        Raises:
+            ValueError: `nmea` is none.
+        """
+        if "://" not in self.nmea:
+            return _parsed(f"udpin://{self.nmea}")
+        found = _parsed(self.nmea)
+        if found.scheme not in ("tcp", "serial"):
+            raise ValueError(f"nmea: write ADDRESS:PORT for sentences by UDP, found {self.nmea!r}")
+        return found
+
+    @property
+    def source_keys(self) -> tuple[str, ...]:
+        return ("nmea", "bus", *super().source_keys)
+
+    def reported_too_rarely(self, sources: tuple[str, ...]) -> str:
+        if sources == ("vessel.nmea",) and self.mmsi and self.age_max_s < _AIS_PERIOD_S:
+            return f"AIS reports of a ship under way come every {_AIS_PERIOD_S:g} s"
+        return ""
 
 
 class RtkOptions(PartTable, frozen=True, forbid_unknown_fields=True):
@@ -99,3 +175,18 @@ def _vector(key: str, written: str) -> tuple[float, float, float]:
     if not all(abs(part) <= _REACH_M for part in (x, y, z)):
         raise ValueError(f"{key}: each number must lie in -{_REACH_M:g} to {_REACH_M:g} m, found {written!r}")
     return x, y, z
+
+
+def _parsed(url: str) -> Endpoint:
+    try:
+        found = parse_endpoint(url)
+        if found.scheme == "udpin":
+            ipaddress.ip_address(found.host)
+    except (BadInput, ValueError):
+        raise ValueError(
+            f"nmea must be ADDRESS:PORT with a numeric address, tcp://HOST:PORT or serial:///dev/NAME:BAUD, found "
+            f"{url.removeprefix('udpin://')!r}"
+        ) from None
+    if not found.port >= 1 or (found.scheme != "serial" and found.port > 65535):
+        raise ValueError(f"nmea: the port must lie in 1 to 65535, found {found.port}")
+    return found

@@ -6,10 +6,9 @@ from functools import partial
 
 from companion.base.observer import NullObserver
 from companion.cycle.ports import Assembly
-from companion.parts.ship.options import RtkOptions
+from companion.parts.ship.options import RtkOptions, WiredVessel
 from companion.settings.capabilities import Reference
 from companion.settings.model import Settings
-from companion.settings.vessel import VesselOptions
 from drivers.endpoint import parse_bus
 from drivers.extras import require
 from drivers.mailbox import Line
@@ -81,7 +80,7 @@ class SentencesPart(_ShipPart):
         reports: where samples are put.
     """
 
-    def __init__(self, options: VesselOptions, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
+    def __init__(self, options: WiredVessel, choice: SourceChoice, reports: Line[Sample], clock: Clock) -> None:
         super().__init__("a sentence of the ship", reports, clock)
         self._options = options
         self._reader = NmeaReader(options.mmsi, options.nmea_simulated, choice)
@@ -172,7 +171,8 @@ class RtkPart(_ShipPart):
 
 def join(service: Assembly) -> None:
     """Add a part for each wire of the ship that the settings name. What several wires report is taken from one of them."""
-    vessel, rtk, choice = service.settings.vessel, service.settings.of(RtkOptions), SourceChoice(log.info)
+    settings, choice = service.settings, SourceChoice(log.info)
+    vessel, rtk = settings.of(WiredVessel), settings.of(RtkOptions)
     reports, clock = service.ship_reports(), service.clock
     if vessel.nmea:
         service.add("sentences", SentencesPart(vessel, choice, reports, clock))
@@ -185,7 +185,7 @@ def join(service: Assembly) -> None:
 
 def references(settings: Settings) -> Iterator[Reference]:
     """Yield what looks for the packages of each wire that the settings name."""
-    vessel, rtk = settings.vessel, settings.of(RtkOptions)
+    vessel, rtk = settings.of(WiredVessel), settings.of(RtkOptions)
     if vessel.nmea:
         yield "vessel.nmea", (), partial(require, f"vessel.nmea {vessel.nmea}", "nmea", "pynmea2", "pyais")
     if vessel.bus and parse_bus(vessel.bus).signalk is None:

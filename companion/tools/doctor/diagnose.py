@@ -4,7 +4,7 @@ from companion.tools.doctor import rules_autopilots, rules_links, rules_switch, 
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, error, warning
 from companion.tools.doctor.firmware_parameters import names_in
 from companion.tools.doctor.snapshot import Snapshot
-from drivers.imports.log_history import VIBRATION_LIMIT_M_S2, Excess
+from drivers.log_history import VIBRATION_LIMIT_M_S2, Excess
 
 _SHOWN = 4  # entries that are listed
 _REFUSED_S = 1.0  # time for which the filter refuses a measurement that is a warning

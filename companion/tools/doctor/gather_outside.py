@@ -19,7 +19,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.settings import files
-from companion.settings.capabilities import CAPABILITIES, imported
+from companion.settings.capabilities import CAPABILITIES, imported, is_offered, offered
 from companion.settings.links import HttpSettings
 from companion.settings.model import Settings
 from companion.tools.doctor.diagnose import PARAMETERS
@@ -27,10 +27,9 @@ from companion.tools.doctor.firmware_parameters import RENAMED, differing, names
 from companion.tools.doctor.gather_service import figures, files_of, servers_of
 from companion.tools.doctor.snapshot import AutopilotSnapshot, ServiceSnapshot, Snapshot
 from drivers.camera.open_camera import open_camera
+from drivers.file_kinds import DECRYPT, FileKind, kind_of
 from drivers.files import Largest, bytes_of
-from drivers.imports import dataflash, px4_ulog, tlog
-from drivers.imports.kinds import DECRYPT, FileKind, kind_of
-from drivers.imports.log_history import AutopilotLog, LogHistory
+from drivers.log_history import AutopilotLog, LogHistory
 from drivers.log_stamps import Tell
 from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.text import utf8_of
@@ -65,19 +64,15 @@ def examine_log(path: Path) -> Snapshot:
         return structs.replace(snapshot, log=None, autopilot=structs.replace(a, unread=file.history.notes, unjudged=unjudged))
     if kind is FileKind.ENCRYPTED:
         raise BadInput(f"{path}: {kind.value}: {DECRYPT}")
-    if kind not in _HISTORIES:
+    if not is_offered("histories", kind.name):
         raise BadInput(
             f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "
             "file of parameters"
         )
+    read: Callable[[Path, Tell], AutopilotLog] = offered("histories", kind.name, f"{path}: {kind.value}")
     with contextlib.redirect_stdout(sys.stderr):  # parsers print what they meet, and standard output is for findings
-        log = _HISTORIES[kind](path, notes.append)
+        log = read(path, notes.append)
     return _log_snapshot(path, structs.replace(log, history=structs.replace(log.history, notes=tuple(notes))))
-
-
-_HISTORIES: dict[FileKind, Callable[[Path, Tell], AutopilotLog]] = {
-    FileKind.ULOG: px4_ulog.read_history, FileKind.DATAFLASH: dataflash.read_history, FileKind.TLOG: tlog.read_history,
-}  # fmt: skip
 
 
 def _log_snapshot(path: Path, log: AutopilotLog) -> Snapshot:

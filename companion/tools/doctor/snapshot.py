@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Struct, field
 
 from companion.settings.remarks import Contradiction
-from drivers.imports.log_history import LogHistory
+from drivers.log_history import LogHistory
 from estimator.contracts.errors import refused
 
 

@@ -19,20 +19,16 @@ import numpy as np
 from msgspec import Struct
 
 from companion.tools.pads import foreign
+from companion.tools.tag_pad import FAMILY, TURN_DEG, Board, fiducial, painted
 from drivers.confined import in_child
 from estimator.contracts.errors import BadInput, refused
 from estimator.vision.camera.camera import shown
-from estimator.vision.pad.fiducial import PaintedFiducial, dictionary_names
-from estimator.vision.pad.fiducial_rules import check_marker, quiet_square
-from estimator.vision.pad.file import LARGEST_M, SMALLEST_M
+from estimator.vision.pad.fiducial import PaintedFiducial
+from estimator.vision.pad.file import LARGEST_M
 
-FAMILY, BOARD_FILES = "tag36h11", (".json", ".yaml", ".yml")
-"""The family where nothing says it; endings of the files."""
-_SHEET = 1.5
-"""Side of a sheet whose size is not known, in that which the tags need: far from the border of most, it is not measured."""
+BOARD_FILES = (".json", ".yaml", ".yml")
 _FLAT_M = 0.001  # distance of a tag from the board's plane
 _SQUARE = 0.01  # fault of a square, as a share of its size
-_TURN_DEG = 0.5  # turn of a tag from quarters
 
 
 class _Marker(Struct):
@@ -86,15 +82,6 @@ class _Node(Struct):
     tag: _Lists
 
 
-class Board(Struct, frozen=True):
-    """A board that was read."""
-
-    keys: dict[str, Any]
-    """The keys of a pad file."""
-    remarks: tuple[str, ...]
-    """Sentences that name things not taken or assumed."""
-
-
 def board(
     text: str, name: str, where: str, sheet_m: tuple[float, float] | None = None, family: str | None = None,
     target: str | None = None, *, turned: bool = False,
@@ -126,60 +113,6 @@ def board(
     else:
         regions, remarks = _by_poses(text, where, family, target, half)
     return painted(regions, name, where, sheet_m, remarks)
-
-
-def painted(
-    regions: Sequence[PaintedFiducial], name: str, where: str, sheet_m: tuple[float, float] | None, remarks: list[str]
-) -> Board:
-    """Return tags on a sheet, with a remark if the sheet is not known.
-
-    Raises:
-        BadInput: there is none, or an id is unknown.
-    """
-    if not regions:
-        raise BadInput(f"{where}: it has no tags")
-    for i, region in enumerate(regions):
-        check_marker(region, f"{where}: tag {i}")
-    if sheet_m is None:
-        x, y = np.abs([quiet_square(region) for region in regions]).max(axis=0).reshape(2, 2).max(axis=1).tolist()
-        sheet_m = round(2.0 * _SHEET * y, 3), round(2.0 * _SHEET * x, 3)
-        remarks.append(
-            f"the sheet is not in the file: {sheet_m[0]:g} x {sheet_m[1]:g} m is taken. Measure it across and along, for "
-            "--size-mm of pad import or the pad's panel: one that is a few percent off makes the range as wrong"
-        )
-    panel = {"shape": "panel", "paint": "white", "length_m": sheet_m[1], "width_m": sheet_m[0]}
-    tags = [{"shape": "fiducial", **msgspec.structs.asdict(region)} for region in regions]
-    paints = {"white": [245, 245, 245], "black": [20, 20, 20]}
-    return Board({"name": name, "ground": "", "paints": paints, "regions": [panel, *tags]}, tuple(remarks))
-
-
-_KINDS = {name.removeprefix("DICT_").removeprefix("APRILTAG_").lower(): name for name in sorted(dictionary_names())}
-"""OpenCV's dictionaries by the names that other programs give them, without "tag" before."""
-
-
-def fiducial(
-    family: str, number: int, size_m: float, where: str, right_up_m: tuple[float, float] = (0.0, 0.0), turn_deg: float = 0.0
-) -> PaintedFiducial:
-    """Return a tag as a region.
-
-    Args:
-        right_up_m: place of its middle on the drawing, to the right and up.
-        turn_deg: its turn clockwise against OpenCV's drawing.
-
-    Raises:
-        BadInput: its family or turn is not read, or a number is no length.
-    """
-    kind = family.lower().removeprefix("tag")
-    if kind not in _KINDS:
-        raise BadInput(f"{where}: tags of the family {shown(family)} are not read: OpenCV has {', '.join(_KINDS)}")
-    if not (SMALLEST_M <= size_m <= LARGEST_M and all(abs(at) <= LARGEST_M for at in right_up_m)):
-        at = ", ".join(f"{v:g}" for v in right_up_m)
-        raise BadInput(f"{where}: size {size_m:g} m at ({at}) m: lengths are {SMALLEST_M:g} to {LARGEST_M:g} m")
-    quarters = round(turn_deg / 90.0)
-    if not abs(turn_deg - 90.0 * quarters) <= _TURN_DEG:
-        raise BadInput(f"{where}: it is turned by {turn_deg % 90.0:.1f} degrees on the board: quarter turns alone are read")
-    right_m, up_m = (round(at, 6) for at in right_up_m)
-    return PaintedFiducial("black", _KINDS[kind], number, round(size_m, 6), (up_m, right_m), 90.0 * (quarters % 4))
 
 
 def _by_corners(markers: Sequence[_Marker], half_deg: float, where: str) -> Iterator[PaintedFiducial]:
@@ -254,7 +187,7 @@ def _of_pose(tag: _Member, family: str, half_deg: float, where: str) -> PaintedF
     if not (0.0 < norm < math.inf):
         raise BadInput(f"{where}: its quaternion is none: qw, qx, qy, qz are {q.tolist()}")
     w, x, y, z = (q / norm).tolist()
-    if not math.hypot(x, y) <= math.sin(0.5 * math.radians(_TURN_DEG)):
+    if not math.hypot(x, y) <= math.sin(0.5 * math.radians(TURN_DEG)):
         tilt_deg = 2.0 * math.degrees(math.asin(min(1.0, math.hypot(x, y))))
         raise BadInput(f"{where}: it is tilted by {tilt_deg:.1f} degrees out of the plane of the board: a pad is flat")
     if not abs(tag.z) <= _FLAT_M:

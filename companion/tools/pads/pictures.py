@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from msgspec import Struct, structs
 
-from companion.tools.pads.price import registered
+from companion.tools.pad_price import registered
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.vision.camera.camera import Camera

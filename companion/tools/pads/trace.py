@@ -10,7 +10,6 @@ from itertools import compress, pairwise
 from typing import Any, NamedTuple
 
 import cv2
-import msgspec
 import numpy as np
 from msgspec import Struct, convert, structs
 from numpy.typing import NDArray
@@ -428,18 +427,3 @@ def _on_pad(line: F64, centre: F64, m: float) -> tuple[tuple[float, float], ...]
         at = np.delete(at, next((i for i in order if is_simple(np.delete(at, i, 0))), order[0]), 0)
     area, kept = (cv2.contourArea(of.astype(np.float32)) for of in (drawn_at, at))
     return tuple((x, y) for x, y in (at if abs(kept - area) <= _CHANGE_MOST * area else drawn_at).tolist())
-
-
-def file_text(keys: dict[str, Any], comment: str) -> str:
-    """Return a pad file's text."""
-    lines = [
-        f"# {comment}",
-        f"name = {msgspec.json.encode(keys['name']).decode()}",
-        f'ground = "{keys["ground"]}"',
-        "",
-        "[paints]",
-    ]
-    lines += [f"{name} = {rgb}" for name, rgb in keys["paints"].items()]
-    for region in keys["regions"]:
-        lines += ["", "[[regions]]", *(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in region.items())]
-    return "\n".join(lines) + "\n"

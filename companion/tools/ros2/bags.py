@@ -26,6 +26,7 @@ from drivers.camera.images import ImageRefused
 from drivers.camera.ros2 import image_px
 from drivers.extras import require
 from drivers.files import Largest, opened, refuse_special, seen_in
+from drivers.importer import ForeignFile
 from drivers.log_stamps import SIGMA_S, SIGMA_TILT_RAD, SIGMA_YAW_RAD, Tell, timeline
 from drivers.ros2 import typestore
 from estimator.contracts.errors import BadInput, refused
@@ -129,6 +130,11 @@ _MADE = re.compile(
 """Parts of names of topics whose images another program made."""
 _DEPTH = re.compile(r"(?i)16UC1|32FC1|mono16|TYPE_|disparity|depth")
 """Encodings and names of what is no picture."""
+
+
+def import_bag(file: ForeignFile) -> Iterator[Sample | Frame]:
+    """Read a bag as an importer (`drivers.importer.Read`)."""
+    return read(file.path, file.tell, file.topic)
 
 
 def read(path: Path, tell: Tell, topic: str = "") -> Iterator[Sample | Frame]:

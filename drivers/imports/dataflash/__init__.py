@@ -1,6 +1,4 @@
 """Read ArduPilot's dataflash logs through pymavlink: their samples, and their parameters, texts and events."""
 
 from drivers.imports.dataflash.history import read_history as read_history
-from drivers.imports.dataflash.log import MAGIC as MAGIC
-from drivers.imports.dataflash.log import is_text as is_text
 from drivers.imports.dataflash.samples import read as read

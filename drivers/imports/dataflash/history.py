@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.imports.dataflash.log import LogEvent, open_log, time_us
-from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment
+from drivers.imports.history_meter import HistoryMeter
+from drivers.log_history import AutopilotLog, LoggedMoment
 from drivers.log_stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import struct
 import tempfile
 import traceback
@@ -22,14 +21,14 @@ os.environ.setdefault("MAVLINK_DIALECT", "common")
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import DFReader
 
+from drivers.file_kinds import DATAFLASH_MAGIC, is_dataflash_text
 from drivers.files import Largest, opened
 from drivers.log_stamps import Tell, quiet
 from estimator.contracts.errors import BadInput, DecklanderError
 
-MAGIC = b"\xa3\x95"
 TEXT_HEAD = 4096
 """Bytes that show whether a file is a log in text."""
-_FMT = MAGIC + b"\x80"
+_FMT = DATAFLASH_MAGIC + b"\x80"
 """Begin of a message that describes another one."""
 _FMT_SIZE = 89  # its length, bytes
 
@@ -54,8 +53,8 @@ def open_log(path: Path, tell: Tell = quiet) -> PartedLog:
         with opened(path, Largest.LOG) as file:
             head = file.read(TEXT_HEAD)
         log = None
-        if head[:2] == MAGIC or is_text(head):
-            log = PartedLog(path, tell, is_text=head[:2] != MAGIC)
+        if head[:2] == DATAFLASH_MAGIC or is_dataflash_text(head):
+            log = PartedLog(path, tell, is_text=head[:2] != DATAFLASH_MAGIC)
     except DecklanderError:
         raise
     except Exception as why:  # pymavlink lets any error of its parser through
@@ -63,11 +62,6 @@ def open_log(path: Path, tell: Tell = quiet) -> PartedLog:
     if log is None:
         raise BadInput(f"{path}: not a dataflash log")
     return log
-
-
-def is_text(head: bytes) -> bool:
-    """Return whether a file begins as the text form of a log, as ground stations write it."""
-    return any(re.match(rb"FMT, ?\d+, ?\d+, ?\w+", line) for line in head.splitlines()[:20])
 
 
 _FMT_FIELDS = struct.Struct("<BB4s16s64s")

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.imports.log_history import AutopilotLog, HistoryMeter, LoggedMoment, LogHistory
+from drivers.imports.history_meter import HistoryMeter
 from drivers.imports.px4_ulog.samples import ERRORS_OF_OTHERS, open_ulog
+from drivers.log_history import AutopilotLog, LoggedMoment, LogHistory
 from drivers.log_stamps import Tell, quiet, timeline
 from estimator.contracts.errors import BadInput, refused
 

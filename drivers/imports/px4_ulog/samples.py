@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from drivers.extras import require
+from drivers.file_kinds import ULOG_MAGIC
 from drivers.files import Largest, bytes_of
 from drivers.imports.columns import ULOG, cell, unknown
 from drivers.imports.px4_ulog.damage import without_damage
@@ -22,7 +23,6 @@ from estimator.contracts.errors import BadInput, DecklanderError, refused
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.samples import Baro, BodyVelocity, Imu, Range, Sample, VehicleStatus
 
-MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = (
     "sensor_combined", "vehicle_attitude", "vehicle_local_position", "distance_sensor", "vehicle_air_data",
     "vehicle_land_detected",
@@ -71,7 +71,7 @@ def open_ulog(path: Path, topics: tuple[str, ...], tell: Tell = quiet) -> Any:
 
     try:
         data = bytes_of(path, Largest.LOG)
-        whole = without_damage(data, tell) if data.startswith(MAGIC) else data
+        whole = without_damage(data, tell) if data.startswith(ULOG_MAGIC) else data
         # pyulog prints its remarks to standard output, which is for results.
         with contextlib.redirect_stdout(io.StringIO()):
             return ULog(_Bounded(io.BytesIO(whole), len(whole)), message_name_filter_list=list(topics))

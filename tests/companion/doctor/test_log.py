@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from companion.tools.doctor.diagnose import diagnose
 from companion.tools.doctor.finding import Finding, Severity
 from companion.tools.doctor.gather_outside import examine_log
-from drivers.imports.log_history import LandingMeter
+from drivers.imports.history_meter import LandingMeter
 from drivers.imports.px4_ulog import read_history
 from estimator.contracts.errors import BadInput
 from tests.companion.doctor.test_rules import ARDUPILOT, PX4, run_doctor

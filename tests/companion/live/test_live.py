@@ -27,12 +27,12 @@ from companion.base.worker import Worker
 from companion.cli.main import main
 from companion.guidance.pilot import make_pilot
 from companion.parts.live import part
+from companion.parts.live.options import LiveHttp
 from companion.parts.live.part import FoxgloveEndpoint
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.frame_encoder import is_key_frame
-from companion.settings.links import HttpSettings
 from drivers.clock import SystemClock
 from sitl.flight.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
@@ -50,7 +50,7 @@ class Service:
         pilot = make_pilot(whole, shadows=("median_mean",))
         clock = SystemClock()
         health = Health(clock)
-        self.server = HttpServer(HttpSettings(endpoint="http", page=False, **{"port": 0, **settings}), health)
+        self.server = HttpServer(LiveHttp(endpoint="http", page=False, **{"port": 0, **settings}), health)
         self.endpoint = FoxgloveEndpoint(self.server, pilot, health, clock, "drone", 0)
         observers: list[Observer] = [self.endpoint.feed] if recorder is None else [recorder, self.endpoint.feed]
         self.flight = Flight(load_scenario("demo"), 1, whole, pilot, observers=observers)

@@ -24,7 +24,7 @@ from companion.facts.records import TruthRecord
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.tools.ros2 import bags
 from companion.tools.ros2.messages import RosMessages
-from drivers.imports.kinds import FileKind, kind_of
+from drivers.file_kinds import FileKind, kind_of
 from drivers.ros2 import typestore
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation

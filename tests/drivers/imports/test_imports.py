@@ -18,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.tools.doctor.gather_outside import parameters_of
-from drivers.imports import ardrone_capture, dataflash, pictures, px4_ulog, tlog
-from drivers.imports.kinds import FileKind, kind_of
+from drivers.ardrone import capture
+from drivers.file_kinds import FileKind, kind_of
+from drivers.imports import dataflash, pictures, px4_ulog, tlog
 from drivers.log_stamps import Tell, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus
@@ -83,7 +84,7 @@ def test_the_dataflash_log_holds_what_its_own_tools_count() -> None:
 @needs_data
 @pytest.mark.parametrize(("name", "images", "seconds"), [("video_56_frames", 56, 1.793), ("video_starts_on_p_frames", 17, 0.511)])
 def test_pave_captures_give_the_images_that_decode_at_the_drones_times(name: str, images: int, seconds: float) -> None:
-    frames = list(ardrone_capture.frames(DATA / f"ardrone/{name}.pave"))
+    frames = list(capture.frames(DATA / f"ardrone/{name}.pave"))
     assert len(frames) == images
     assert frames[0].px.shape == (360, 640, 3)
     assert frames[0].stamp.measured_at == 0
@@ -109,7 +110,7 @@ def test_navdata_captures_are_parted_and_timed_by_the_drones_clock(tmp_path: Pat
 
     path = tmp_path / "navdata.bin"
     path.write_bytes(one + b"\x00\x01" + later(5) + later(10)[:700] + later(15) + later(2000))
-    samples = ardrone_capture.samples(path)
+    samples = capture.samples(path)
     instants = sorted({s.stamp.measured_at for s in samples})
     assert instants == [0, 5_000_000, 15_000_000, 2_000_000_000]
     assert {Imu, Attitude, BodyVelocity, Range, Baro, GeoFix, VehicleStatus} == {type(s) for s in samples}
@@ -169,8 +170,8 @@ def test_videos_keep_their_own_times_behind_a_preview(size: tuple[int, int] | No
         (px4_ulog.read, b"nonsense", "not a readable PX4 log"),
         (dataflash.read, b"1, FMT", "not a dataflash log"),
         (dataflash.read, b"\xa3\x95" + bytes(200), "neither IMU|not a readable"),
-        (ardrone_capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
-        (lambda p: list(ardrone_capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
+        (capture.samples, b"\x88\x77\x66\x55" + bytes(100), "no whole navdata"),
+        (lambda p: list(capture.frames(p)), b"PaVE" + bytes(300), "no frame"),
         (lambda p: list(pictures.video_frames(p)), b"RIFF1234AVI nonsense", "readable video|holds no video"),
         (pictures.attitudes, b"time_s,roll_deg\n1,2\n", "column 'pitch_deg' is missing"),
         (pictures.attitudes, b"time_s,roll_deg,pitch_deg\n1,2,x\n", "line 2: not a number"),
@@ -368,7 +369,7 @@ CAPTURE = [1_000_000_000 + 5000 * n for n in range(300)]
 )
 def test_a_capture_of_navdata_lasts_as_long_as_it_did(times: list[int], said: str, tmp_path: Path) -> None:
     data = b"".join(made.navdata(n + 1, t) for n, t in enumerate(times))
-    samples, reported = heard(ardrone_capture.samples, tmp_path / "navdata", data)
+    samples, reported = heard(capture.samples, tmp_path / "navdata", data)
     assert samples[-1].stamp.measured_at * 1e-9 == pytest.approx(1.5, abs=0.05)
     assert (reported == "") == (said == "")
     assert said in reported
@@ -392,7 +393,7 @@ FILES = {
 }
 READERS = {
     FileKind.DATAFLASH: (dataflash.read, dataflash.read_history), FileKind.ULOG: (px4_ulog.read, px4_ulog.read_history),
-    FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (ardrone_capture.samples,),
+    FileKind.TLOG: (tlog.read, tlog.read_history), FileKind.NAVDATA: (capture.samples,),
 }  # fmt: skip
 
 

@@ -5,11 +5,13 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.files import Largest, opened, seen_in
-from drivers.imports import ardrone_capture, dataflash, px4_ulog
 from drivers.ship_reports import NETWORK_LINE, SENTENCE
 from estimator.contracts.errors import refused
 from estimator.contracts.text import utf8_of
 
+ULOG_MAGIC = b"ULog\x01\x12\x35"
+DATAFLASH_MAGIC = b"\xa3\x95"
+NAVDATA_MAGIC = b"\x88\x77\x66\x55"
 _HEAD = 1 << 16  # bytes at the begin of a file that show what it is
 _TLOG_STAMP = 8  # length of a telemetry log's stamp before each frame, bytes
 _TLOG_BEGAN_US = 1_000_000_000_000_000  # earliest stamp of a telemetry log, Unix time of 2001, us
@@ -72,7 +74,7 @@ def kind_of(path: Path) -> FileKind:
     for magic, kind in _MAGICS:
         if head.startswith(magic):
             return kind
-    if dataflash.is_text(head):
+    if is_dataflash_text(head):
         return FileKind.DATAFLASH
     if _is_tlog(head):
         return FileKind.TLOG
@@ -80,16 +82,22 @@ def kind_of(path: Path) -> FileKind:
         return FileKind.MAVLINK
     if head and _is_text(head):
         return _kind_of_text(head, path.suffix.lower())
-    return FileKind.ENCRYPTED if path.suffix.lower() in _HEADLESS else FileKind.OTHER
+    return _HEADLESS.get(path.suffix.lower(), FileKind.OTHER)
+
+
+def is_dataflash_text(head: bytes) -> bool:
+    """Return whether a file begins as the text form of a dataflash log, as ground stations write it."""
+    return any(re.match(rb"FMT, ?\d+, ?\d+, ?\w+", line) for line in head.splitlines()[:20])
 
 
 _MAGICS = (
-    (px4_ulog.MAGIC, FileKind.ULOG), (b"ULogEnc", FileKind.ENCRYPTED), (b"ULogKey", FileKind.ENCRYPTED),
-    (dataflash.MAGIC, FileKind.DATAFLASH), (ardrone_capture.NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
+    (ULOG_MAGIC, FileKind.ULOG), (b"ULogEnc", FileKind.ENCRYPTED), (b"ULogKey", FileKind.ENCRYPTED),
+    (DATAFLASH_MAGIC, FileKind.DATAFLASH), (NAVDATA_MAGIC, FileKind.NAVDATA), (b"PaVE", FileKind.PAVE),
     (b"#ROSBAG V", FileKind.ROS_BAG), (b"SQLite format 3", FileKind.DATABASE),
 )  # fmt: skip
-_HEADLESS = (".ulgc", ".ulgk")
-"""Endings of PX4's encrypted logs and their keys before release 1.16, whose first bytes are those of any cipher."""
+_HEADLESS = {".ulgc": FileKind.ENCRYPTED, ".ulgk": FileKind.ENCRYPTED, ".pave": FileKind.PAVE}
+"""Kinds by the endings of files that their first bytes do not show: PX4's encrypted logs and their keys before release 1.16,
+and video that an AR.Drone began to send before it was captured."""
 
 
 def _is_ros2(head: bytes) -> bool:

@@ -9,12 +9,13 @@ from drivers.ardrone.counters import in_words
 from drivers.ardrone.navdata import Navdata, decode
 from drivers.ardrone.navdata_channel import AS_REPORTED, NavdataSampler
 from drivers.ardrone.pave import PaveParser, VideoDecoder
+from drivers.file_kinds import NAVDATA_MAGIC
 from drivers.files import Largest, bytes_of
+from drivers.importer import ForeignFile
 from drivers.log_stamps import FRAME_DELAY_S, Tell, quiet, stamp, timeline
 from estimator.contracts.errors import BadInput
 from estimator.contracts.samples import Frame, Sample
 
-NAVDATA_MAGIC = b"\x88\x77\x66\x55"
 _NAVDATA_WRAP_US = 2048 * 1_000_000  # period of the time in navdata: eleven bits of seconds
 _NAVDATA_PERIOD_S = 0.005
 """The period assumed for datagrams without a time: full navdata are sent 200 times a second."""
@@ -22,6 +23,16 @@ _PAUSE_MS = 600_000  # a video that goes on after a longer time was not paused: 
 _FRAME_MS = 33  # time between two frames at 30 Hz
 _CHECKSUM_TAG = 0xFFFF  # tag of the last option of a navdata datagram
 _OPTION = struct.Struct("<HH")
+
+
+def import_video(file: ForeignFile) -> Iterator[Frame]:
+    """Read a capture of video as an importer (`drivers.importer.Read`)."""
+    return frames(file.path)
+
+
+def import_navdata(file: ForeignFile) -> list[Sample]:
+    """Read a capture of navdata as an importer (`drivers.importer.Read`)."""
+    return samples(file.path, file.tell)
 
 
 def frames(path: Path) -> Iterator[Frame]:
