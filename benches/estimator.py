@@ -16,15 +16,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from benches.options import described, parsed
-from estimator.options import DeadReckoningOptions
-from estimator.paths import DeadReckoningPath, MedianMeanPath
+from estimator.dead_reckoning import DeadReckoningPath
+from estimator.median_mean import MedianMeanPath
+from estimator.options import EstimatorOptions
 from tests.support import voyage_truth
 from tests.support.voyage_score import HORIZONS_S, Score, fly_voyage
 from tests.support.voyage_truth import SEAS, VoyageScene
 
 PATHS: dict[str, Callable[[], MedianMeanPath | DeadReckoningPath]] = {
-    "median_mean": lambda: MedianMeanPath(0.5),
-    "dead_reckoning": lambda: DeadReckoningPath(0.5, DeadReckoningOptions()),
+    "median_mean": lambda: MedianMeanPath(),
+    "dead_reckoning": lambda: DeadReckoningPath(EstimatorOptions()),
 }
 
 

@@ -286,9 +286,12 @@ def contracts(tree: Tree) -> int:
 
 
 def lines_of_run(tree: Tree) -> int:
-    """Return the lines of Python that `decklander run` with an autopilot imports, in functions and by the table of parts too."""
+    """Return the lines of Python that `run` with an autopilot and a V4L2 camera imports, in functions and by tables too.
+
+    Rows of tables that such a run does not load are left out: other vehicles, cameras, methods and paths, and the page's tools.
+    """
     named = re.findall(r'"(companion[\w.]+):\w+"', tree.texts["companion/service/parts.py"])
-    starts = {"companion.cli.run", "companion.parts.mavlink.make", *named}
+    starts = {"companion.cli.run", "companion.parts.mavlink.make", "drivers.camera.v4l2", *named}
     return sum(tree.lines_of[name] for name in starts.union(*(reached(tree.imports, start) for start in starts)))
 
 

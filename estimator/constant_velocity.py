@@ -25,7 +25,8 @@ from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.samples import Attitude, Sample
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.dead_reckoning import ArrowHeading, heading_after
-from estimator.paths import Path
+from estimator.options import EstimatorOptions
+from estimator.paths import GAP_S, Path
 
 GATE_NIS = 16.27
 """Chi-square with 3 degrees of freedom, 99.9 %."""
@@ -50,14 +51,13 @@ class _Belief:
 class ConstantVelocityPath(Path):
     """Sightings through a Kalman filter of constant velocity.
 
-    Args:
-        max_gap_s: time without a fused sighting after which the filter starts again.
+    It starts again after `GAP_S` without a fused sighting.
     """
 
     name: PathName = "constant_velocity"
 
-    def __init__(self, attitudes: AttitudeHistory, max_gap_s: float) -> None:
-        self._attitudes, self._max_gap_s = attitudes, max_gap_s
+    def __init__(self, options: EstimatorOptions) -> None:
+        self._attitudes = AttitudeHistory(options.history_s)
         self._belief: _Belief | None = None
         self._arrow: ArrowHeading | None = None
 
@@ -77,7 +77,7 @@ class ConstantVelocityPath(Path):
         heading_rad = attitude.R_ned_body.rpy_rad[2]
         R_ned_level = Rotation.from_rpy(0.0, 0.0, heading_rad).matrix
         z, R = R_ned_level @ sighting.d_body_pad_level, R_ned_level @ sighting.cov[:3, :3] @ R_ned_level.T
-        if last is None or elapsed_s > self._max_gap_s:
+        if last is None or elapsed_s > GAP_S:
             P = _SIGMA_V_M_S**2 * np.eye(6)
             P[:3, :3] = R
             first = _Belief(stamp.measured_at, np.concatenate([z, np.zeros(3)]), P)

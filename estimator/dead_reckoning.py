@@ -19,17 +19,29 @@ for the biases, which its code leaves out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from estimator.contracts.estimates import UNKNOWN_YAW_VAR, Details, RelativeState, Sighting, Verdict
+from estimator.contracts.estimates import (
+    UNKNOWN_YAW_VAR,
+    Details,
+    FusionResult,
+    PathName,
+    RelativeState,
+    Sighting,
+    Verdict,
+    uncompared,
+)
 from estimator.contracts.geometry import F64, Rotation, wrap_pi
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.options import DeadReckoningOptions
+from estimator.median_mean import MedianMean
+from estimator.options import DeadReckoningOptions, EstimatorOptions
+from estimator.paths import Path
 
 _NIS_MAX = 16.27  # Chi-square with 3 degrees of freedom, 99.9 %
 _KNOT_S = 0.004  # Least time between two knots of the integrated motion
@@ -409,3 +421,30 @@ def _turned(v: F64, angle_rad: float) -> F64:
     """Rotate a (3,) vector about the down axis."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
+
+
+class DeadReckoningPath(Path):
+    """Sightings through the median and mean, then propagated with the drone's own velocity and heading."""
+
+    name: PathName = "dead_reckoning"
+
+    def __init__(self, options: EstimatorOptions) -> None:
+        own = options.dead_reckoning
+        self._filter = MedianMean()
+        self._state = DeadReckoning.start(replace(own, history_s=max(own.history_s, options.max_delay_s)))
+
+    def put(self, samples: Sequence[Sample], *, wanted: bool = True) -> Sequence[FusionResult | None]:
+        for sample in samples:
+            self._state, _ = step(self._state, sample)
+        return super().put(samples)
+
+    def sight(self, sighting: Sighting) -> FusionResult:
+        memory, smooth = self._filter.smooth(sighting)
+        if smooth is None:
+            return uncompared(self.name, sighting, Verdict.TOO_OLD)
+        self._filter = memory
+        self._state, verdict = sighted(self._state, smooth)
+        return uncompared(self.name, sighting, verdict)
+
+    def at(self, now: MonoNs) -> RelativeState | None:
+        return at(self._state, now)

@@ -50,7 +50,6 @@ class EstimatorOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             page=True,
         ),
     ] = "ekf"
-    max_gap_s: ClassVar[float] = 0.5  # Gap after which the moving median and mean start again
     min_confidence: Annotated[float, tuning("least confidence of a sighting; 1 is certain", "1", 0.0, 1.0)] = UNSURE
     max_delay_s: Annotated[float, tuning("largest age of a frame on arrival; an older one is refused", "s", 0.05, 5.0)] = 0.5
     history_s: Annotated[float, tuning("time for which attitudes are kept for late frames", "s", 0.1, 30.0)] = 2.0

@@ -8,7 +8,7 @@ comparison.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -34,12 +34,13 @@ from estimator.contracts.samples import (
     VesselMotion,
     VesselReport,
 )
+from estimator.contracts.tables import imported
 from estimator.contracts.time import MonoNs, Stamp, after
 from estimator.ekf import Forecast
 from estimator.integrity import guard as integrity
 from estimator.lens_watch import LensWatch
 from estimator.options import EstimatorOptions
-from estimator.paths import DeadReckoningPath, EkfPath, Event, MedianMeanPath, Path
+from estimator.paths import EkfPath, Event, Path
 from estimator.ship_motion import ShipMotion, ShipMotionOptions
 
 if TYPE_CHECKING:
@@ -50,6 +51,12 @@ _MOMENT_S = 1.0  # Longest time since a pad was seen after which a frame without
 _ASSUMED_RAD = 0.1  # Standard deviation of an assumed attitude, about each axis
 _READOUT_LEAST_S = 0.01
 """Least time to either side of an exposure over which a rotation is taken, s: over a shorter one it is noise."""
+_COMPARED: Mapping[PathName, str] = {
+    "median_mean": "estimator.median_mean:MedianMeanPath",
+    "dead_reckoning": "estimator.dead_reckoning:DeadReckoningPath",
+    "constant_velocity": "estimator.constant_velocity:ConstantVelocityPath",
+}
+"""The paths beside the filter, each by a function of the options, loaded where settings want it."""
 
 
 class RelativeEstimator:
@@ -435,21 +442,14 @@ def _refusal(options: EstimatorOptions, sighting: Sighting) -> Verdict | None:
 
 
 def _path(name: PathName, options: EstimatorOptions) -> Path:
-    match name:
-        case "median_mean":
-            return MedianMeanPath(options.max_gap_s)
-        case "dead_reckoning":
-            own = options.dead_reckoning
-            return DeadReckoningPath(options.max_gap_s, structs.replace(own, history_s=max(own.history_s, options.max_delay_s)))
-        case "ekf":
-            return EkfPath(options.ekf)
-        case "constant_velocity":
-            require_filterpy(f"the path {name}")
-            from estimator.constant_velocity import ConstantVelocityPath
-
-            return ConstantVelocityPath(AttitudeHistory(options.history_s), options.max_gap_s)
-        case _:
-            raise ValueError(f"no such estimator path: {name}")
+    if name == "ekf":
+        return EkfPath(options.ekf)
+    if name not in _COMPARED:
+        raise ValueError(f"no such estimator path: {name}")
+    if name == "constant_velocity":
+        require_filterpy(f"the path {name}")
+    made: Path = imported(_COMPARED[name])(options)
+    return made
 
 
 def require_filterpy(wanted: str) -> None:

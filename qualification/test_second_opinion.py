@@ -14,9 +14,9 @@ from estimator.contracts.samples import Frame
 from estimator.vision.camera.pose import PadPose
 from estimator.vision.detect.pyramid import Pyramid
 from estimator.vision.detect.verification import confidence as confidence_of
-from estimator.vision.learned.second_opinion import CHANNELS, SIDE, SecondOpinion, inputs, patch_of
+from estimator.vision.learned.second_opinion import CHANNELS, SIDE, inputs, patch_of
 from estimator.vision.options import TrackerOptions
-from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.config import SecondOpinion, TrackerConfig
 from estimator.vision.track.memory import TrackerMemory
 from estimator.vision.track.tracker import track
 from tests.support.pad_images import STAMP, PadPlacement, image

@@ -62,7 +62,7 @@ def _vehicle(args: argparse.Namespace, recording: Recording) -> int:
         require_drawing("--plot")
     start = _start(args.response, recording)
     courses = flown_courses(recording)
-    tell_damage(recording, "identified")
+    tell_damage(recording.cut, "identified")
     with named_wait("fitting", quiet=args.json):
         tilt, climb = _fits(recording, courses, start)
     if tilt.delay_sigma_s > NOTHING_TOLD_S:

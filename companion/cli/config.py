@@ -21,7 +21,7 @@ from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
-from estimator.contracts.total_table import next_states
+from estimator.contracts.tables import next_states
 
 DESCRIPTION = "Check, show, import or look up settings."
 _FAULTS_MOST = 20  # faults of a file that are reported

@@ -337,7 +337,7 @@ def _recorded(file: Path, model: _Model) -> Iterator[_Image]:
             kept += 1
             yield _Image(str(file), index, frame.px, event.attitude, frame.coded)
         index += 1
-    tell_damage(recording, "searched")
+    tell_damage(recording.cut, "searched")
     if not kept:
         raise _NoImageError(f"{file}: the recording holds {index} frames, but none of their images")
 

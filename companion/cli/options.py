@@ -8,17 +8,14 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from companion.settings.links import HttpSettings, is_address
 from estimator.contracts.errors import BadInput
-
-if TYPE_CHECKING:
-    from companion.recording.reading import Recording
 
 _PRINT_EACH_S = 30.0  # interval of progress where there is no terminal
 _REDRAW_S = 0.2  # interval of progress on a terminal
@@ -79,9 +76,9 @@ def listening(text: str, what: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def tell_damage(recording: "Recording", done: str) -> None:
-    """Write to standard error what of a recording that was read is missing, and what was done without that."""
-    for path, why in recording.cut.items():
+def tell_damage(cut: Mapping[Path, str], done: str) -> None:
+    """Write to standard error what is missing of a recording that was read (`Recording.cut`), and what was done without that."""
+    for path, why in cut.items():
         sys.stderr.write(f"decklander: {path} is cut short or damaged ({why}): {done} without that\n")
 
 

@@ -145,12 +145,12 @@ def _export(args: argparse.Namespace) -> int:
     recording = _opened(args)
     if args.format == "ros2":
         counts = offered("exporters", "ros2", "--format ros2")(recording, args.output)
-        tell_damage(recording, "exported")
+        tell_damage(recording.cut, "exported")
         sys.stdout.writelines(f"{n:8d}  {topic}\n" for topic, n in sorted(counts.items()))
         sys.stdout.write(f"{args.output}: {sum(counts.values())} messages; ros2 bag play {args.output}\n")
         return 0
     written = export(recording, args.output)
-    tell_damage(recording, "exported")
+    tell_damage(recording.cut, "exported")
     sys.stdout.writelines(f"{args.output / name}: {n} rows\n" for name, n in sorted(written.items()))
     return 0
 
@@ -178,7 +178,7 @@ def _cut(args: argparse.Namespace) -> int:
     recording = _opened(args)
     what = Cut(args.from_s, args.to_s, args.inputs, args.samples_each, args.frames_each, not args.no_frames)
     n = _written(args.output, lambda part: rewrite(recording, part, what))
-    tell_damage(recording, "written")
+    tell_damage(recording.cut, "written")
     sys.stdout.write(f"{args.output}: {n} events, {args.output.stat().st_size / 1e6:.2f} MB\n")
     return 0
 

@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         recording.watch = reading(recording.name)
     logs = [log_of(recording, path.stem, images=not args.no_video) for recording, path in zip(recordings, paths, strict=True)]
     for recording in recordings:
-        tell_damage(recording, "reported")
+        tell_damage(recording.cut, "reported")
     if args.animation is not None:
         with named_wait("drawing the animation"):
             size = write_animation(logs[0], args.animation)

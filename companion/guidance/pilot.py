@@ -34,10 +34,9 @@ from estimator.options import EstimatorOptions
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
-from estimator.vision.track.config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.config import FRAME_WORK, SecondOpinion, TrackerConfig
 
 if TYPE_CHECKING:
-    from estimator.vision.learned.second_opinion import SecondOpinion
     from estimator.vision.track.memory import TrackerMemory
 
 _SECOND_PAD_S = 1.0

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from companion.cycle.ports import Assembly, Join
-from companion.settings.capabilities import CAPABILITIES, imported
+from companion.settings.capabilities import CAPABILITIES
 from companion.settings.model import Settings
+from estimator.contracts.tables import imported
 
 
 class ServicePart(Struct, frozen=True):

@@ -17,7 +17,7 @@ import numpy as np
 from companion.base.observer import NullObserver, ProcessedFrame
 from companion.cycle.ports import Assembly, MakeVehicle, OpenLink, VehicleLink, VehicleParts
 from companion.guidance.pilot import Pilot
-from companion.settings.capabilities import imported, vehicle_kind
+from companion.settings.capabilities import vehicle_kind
 from companion.settings.load import camera_model
 from drivers.camera.exposure import ExposureDrive
 from drivers.camera.exposure_law import ExposureGovernor
@@ -30,6 +30,7 @@ from estimator.contracts.errors import refused
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Frame, Imu, Sample
+from estimator.contracts.tables import imported
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 from estimator.vision.camera.camera import Camera
 from estimator.vision.camera.pose import Orientation

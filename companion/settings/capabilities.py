@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from drivers.extras import is_installed, require
 from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.tables import imported
 
 if TYPE_CHECKING:  # the command line's help needs the table and no settings
     from importlib.metadata import EntryPoint
@@ -243,12 +243,6 @@ def offered(field: str, name: str, wanted: str) -> Any:
     capability = next(one for one in CAPABILITIES if name in getattr(one, field))
     capability.require(wanted)
     return imported(getattr(capability, field)[name])
-
-
-def imported(name: str) -> Any:
-    """Return the object that module:object names, or the module that a name alone does."""
-    module, _, attribute = name.partition(":")
-    return getattr(import_module(module), attribute) if attribute else import_module(module)
 
 
 def part_tables() -> dict[str, type[PartTable]]:

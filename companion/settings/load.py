@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import msgspec
 
 import configs
-from companion.settings.capabilities import imported, vehicle_kind
+from companion.settings.capabilities import vehicle_kind
 from companion.settings.files import CREDENTIAL
 from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.model import PadSettings, Settings, in_file, joined, model_with
@@ -32,6 +32,7 @@ from drivers.vehicle import VehicleOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
 from estimator.contracts.errors import BadInput, file_errors, refused
+from estimator.contracts.tables import imported
 from estimator.contracts.text import text_of
 from estimator.vision.camera.camera import Camera
 from estimator.vision.camera.files import foreign_camera

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from companion.settings import files
-from companion.settings.capabilities import CAPABILITIES, Reference, References, imported
+from companion.settings.capabilities import CAPABILITIES, Reference, References
 from companion.settings.certificates import server_context
 from companion.settings.files import CREDENTIAL
 from companion.settings.load import SHIPPED
@@ -21,11 +21,14 @@ from drivers.files import Largest, bytes_of
 from drivers.mavlink.options import autopilot_of
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
+from estimator.contracts.tables import imported
 
 if TYPE_CHECKING:
-    from estimator.vision.learned.second_opinion import SecondOpinion
+    from estimator.vision.track.config import SecondOpinion
 
 
+_NETWORK = "estimator.vision.learned.second_opinion:SecondOpinion"
+"""The reader of a network, loaded where the settings name one."""
 SHIPPED_NETWORK = SHIPPED / "learned" / "second_opinion.onnx"
 
 
@@ -38,8 +41,6 @@ def second_opinion(file: str, what: str) -> SecondOpinion:
     Raises:
         BadInput: the file cannot be read, is larger than 2 MB, or holds no network of this kind.
     """
-    from estimator.vision.learned.second_opinion import SecondOpinion  # few look with a network
-
     path = Path(file) if file else SHIPPED_NETWORK
     cure = (
         f"decklander is not installed completely: install it again, or name a network with {what}"
@@ -50,7 +51,8 @@ def second_opinion(file: str, what: str) -> SecondOpinion:
         path.stat()
     except OSError as why:
         raise BadInput(f"{what}: {path}: {why.strerror or why}: {cure}") from why
-    return SecondOpinion(bytes_of(path, Largest.NETWORK, f"{what}: {path}"), f"{what}: {path}")
+    network: SecondOpinion = imported(_NETWORK)(bytes_of(path, Largest.NETWORK, f"{what}: {path}"), f"{what}: {path}")
+    return network
 
 
 def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:

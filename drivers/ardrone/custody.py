@@ -27,8 +27,8 @@ from drivers.ardrone.navdata import ControlState, Navdata, NavdataState
 from drivers.ardrone.options import ArDroneOptions
 from drivers.ardrone.velocity_loop import VelocityLoop
 from estimator.contracts.commands import Command, CutMotors, Hover, Land, Lean, LeaveEmergency, TakeOff, Velocity
+from estimator.contracts.tables import total
 from estimator.contracts.time import MonoNs, after, seconds_between
-from estimator.contracts.total_table import total
 
 _TOGGLE_PERIODS = 3
 """The drone acts on the rising edge; three periods survive a lost datagram."""

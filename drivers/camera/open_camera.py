@@ -5,7 +5,7 @@ async with open_camera(options, (640, 480), clock) as camera:
     async for frame in camera.frames: ...
 """
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 from drivers.camera.exposure import ExposureDrive
@@ -14,7 +14,13 @@ from drivers.camera.source import CameraLost, VideoSource
 from drivers.pyav import require_pyav
 from drivers.reconnect import BackOff, reconnect, running_beside
 from estimator.contracts.errors import Recoverable, in_words
+from estimator.contracts.tables import imported
 from estimator.contracts.time import Clock
+
+_CHANNELS = {"stream": "drivers.camera.video_source:StreamChannel", "v4l2": "drivers.camera.v4l2:V4l2Channel"}
+"""Readers of a source's frames, each loaded where it is used."""
+_PROCESS = "drivers.camera.camera_process:ProcessChannel"
+"""The reader of any other source, from a process that opens it; it takes the lens, too."""
 
 
 @asynccontextmanager
@@ -37,24 +43,15 @@ async def open_camera(options: CameraOptions, size: Size | None, clock: Clock, l
     # Each frame of libcamera says with which exposure it was taken: nothing has to settle.
     settle_frames = 0 if options.source == "libcamera" else options.exposure.settle_frames
     camera = VideoSource(ExposureDrive(settle_frames) if options.exposure.driven else None)
-    # Each kind loads what it reads by only when it is used.
     if options.source == "vehicle":
         raise ValueError("the frames of this camera come with the vehicle")
     if options.source == "stream":
         require_pyav('camera.source = "stream"')
-        from drivers.camera.video_source import StreamChannel
-
-        body = StreamChannel(options, size, clock, camera).run
     elif size is None:
         raise ValueError("a device needs the size of its frames")
-    elif options.source == "v4l2":
-        from drivers.camera.v4l2 import V4l2Channel
-
-        body = V4l2Channel(options, size, clock, camera).run
-    else:
-        from drivers.camera.camera_process import ProcessChannel
-
-        body = ProcessChannel(options, size, clock, camera, lens).run
+    channel = imported(_CHANNELS.get(options.source, _PROCESS))
+    lens_of = () if options.source in _CHANNELS else (lens,)
+    body: Callable[[], Awaitable[None]] = channel(options, size, clock, camera, *lens_of).run
     name, longest_s = options.device or options.source, options.reconnect_most_s
     back_off = BackOff(options.reconnect_first_s, longest_s, healthy_after_s=longest_s)
 

@@ -51,8 +51,8 @@ from collections.abc import Mapping
 from enum import Enum
 
 from drivers.mavlink.vehicle import Condition
+from estimator.contracts.tables import total
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.contracts.total_table import total
 
 _SHOWN_BEATS = 2
 """Number of HEARTBEATs after an accepted request until its mode must show; the first may have been under way."""

@@ -17,7 +17,7 @@ from companion.cli.commands import OWNERS
 from companion.cli.main import main
 from companion.recording.reading import open_recording
 from companion.settings import capabilities, schema
-from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, imported, vehicle_kind
+from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, vehicle_kind
 from companion.settings.load import from_file, from_mapping, load
 from companion.settings.model import Settings
 from companion.settings.referenced_files import check_installed
@@ -28,6 +28,7 @@ from drivers.vehicle import VehicleOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import text
 from estimator.contracts.samples import Range, Sample
+from estimator.contracts.tables import imported
 from estimator.contracts.time import NS_PER_S
 
 ROOT = Path(__file__).parents[2]

@@ -21,8 +21,8 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Hover
 from estimator.contracts.estimates import IntegrityAlert, Verdict
 from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.tables import total
 from estimator.contracts.time import Stamp
-from estimator.contracts.total_table import total
 from tests.companion.test_mission_flights import holding
 from tests.make import estimate, ns, status
 

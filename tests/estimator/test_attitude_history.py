@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimator import paths
+from estimator import median_mean
 from estimator.attitude_history import DOWN, AttitudeHistory, GimbalHistory
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, PathName, Sighting
 from estimator.contracts.geometry import Rotation, Transform, wrap_pi
 from estimator.contracts.samples import Attitude, GimbalAttitude, GimbalFrame
 from estimator.contracts.time import MonoNs, Stamp
+from estimator.median_mean import VARIANCE_RATIO, MedianMean, circular_median
 from estimator.options import EstimatorOptions
-from estimator.paths import VARIANCE_RATIO, MedianMean, circular_median
 from estimator.pipeline import RelativeEstimator
 from estimator.vision.camera.camera import Camera
 from tests.make import attitude, gimbal, ns, stamp
@@ -215,7 +215,7 @@ def test_variance_ratios_are_those_of_white_noise():
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((5, 400_000))
     for n, ratio in enumerate(VARIANCE_RATIO, start=1):
-        assert paths._medians(noise[:n]).mean(axis=0).var() == pytest.approx(ratio, rel=0.02)
+        assert median_mean._medians(noise[:n]).mean(axis=0).var() == pytest.approx(ratio, rel=0.02)
 
 
 def test_smooth_gives_a_sighting_of_the_instant_it_holds_for():

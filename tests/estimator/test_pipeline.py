@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.cli import main as cli
-from estimator.attitude_history import AttitudeHistory
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import UNKNOWN_YAW_VAR, FusionResult, IntegrityAlert, RelativeState, Sighting, Verdict
 from estimator.contracts.geometry import F64, Rotation
@@ -219,7 +218,7 @@ COV = np.diag([4e-4, 4e-4, 9e-4, 1e-4])
 def new() -> ConstantVelocityPath:
     from estimator.constant_velocity import ConstantVelocityPath  # with filterpy, which takes a second
 
-    return ConstantVelocityPath(AttitudeHistory(), 0.5)
+    return ConstantVelocityPath(EstimatorOptions())
 
 
 def sighted(path: ConstantVelocityPath, t_s: float, d_ned: F64, heading_rad: float = 0.0) -> tuple[ConstantVelocityPath, Verdict]:

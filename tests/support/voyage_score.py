@@ -13,10 +13,11 @@ from estimator import ekf
 from estimator.contracts.estimates import Sighting
 from estimator.contracts.geometry import F64
 from estimator.contracts.samples import Imu
+from estimator.dead_reckoning import DeadReckoningPath
 from estimator.integrity import sensors as sensors_guard
 from estimator.integrity.options import IntegrityOptions
 from estimator.integrity.sensors import SensorWatch
-from estimator.paths import DeadReckoningPath, MedianMeanPath
+from estimator.median_mean import MedianMeanPath
 from tests.support import voyage_truth
 from tests.support.voyage_truth import OPTIONS, Event, Voyage, VoyageScene, ns
 

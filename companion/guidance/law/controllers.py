@@ -12,12 +12,14 @@ from msgspec import Struct, structs
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
-from companion.guidance.law.policy import PolicyController, read_policy, shipped_policy
 from companion.settings.capabilities import load_offered, of_packages
 from companion.settings.guidance import GuidanceOptions, Response
 from estimator.contracts.errors import BadInput, refused
+from estimator.contracts.tables import imported
 
 GROUP = "decklander.controllers"
+_POLICY = "companion.guidance.law.policy:make_policy"
+"""The function that makes the trained controller, loaded where settings name it."""
 
 
 class ControllerSetup(Struct, frozen=True):
@@ -59,11 +61,9 @@ def _follow_deck(setup: ControllerSetup) -> FollowDeck:
 
 
 def _policy(setup: ControllerSetup) -> Controller[Any]:
-    o = setup.guidance
-    shipped = "ardrone2" if o.follow_deck.response_by_vehicle else o.follow_deck.response
-    policy = read_policy(o.policy_file or shipped_policy(shipped), "guidance.policy_file")
-    view = setup.view if o.follow_deck.keep_in_view else None
-    return PolicyController(policy, _follow_deck(setup), view, over_ground=setup.over_ground)
+    view = setup.view if setup.guidance.follow_deck.keep_in_view else None
+    made: Controller[Any] = imported(_POLICY)(setup.guidance, _follow_deck(setup), view, over_ground=setup.over_ground)
+    return made
 
 
 _OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {

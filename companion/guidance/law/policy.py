@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.settings.files import unzipped
+from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import SHIPPED, whole
 from drivers.files import Largest, refuse_special
 from estimator.contracts.commands import Command, Lean
@@ -297,3 +298,14 @@ def observation(
         *memory.action, min(_AGE_MAX_S, relative.age_s(now)),
     )  # fmt: skip
     return np.array(numbers, np.float32)
+
+
+def make_policy(guidance: GuidanceOptions, law: FollowDeck, view: FieldOfView | None, *, over_ground: bool) -> PolicyController:
+    """Return the controller of the settings' network, or of the shipped one for the vehicle's response.
+
+    Raises:
+        BadInput: there is no such network, or it cannot be read.
+    """
+    shipped = "ardrone2" if guidance.follow_deck.response_by_vehicle else guidance.follow_deck.response
+    policy = read_policy(guidance.policy_file or shipped_policy(shipped), "guidance.policy_file")
+    return PolicyController(policy, law, view, over_ground=over_ground)

@@ -64,8 +64,8 @@ from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import VehicleStatus
+from estimator.contracts.tables import total
 from estimator.contracts.time import MonoNs, seconds_between
-from estimator.contracts.total_table import total
 
 _STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad, land_here)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}

@@ -27,8 +27,8 @@ from companion.parts.mavlink.rc_switch import RcSwitch
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings.guidance import GuidanceOptions
 from companion.tools.doctor.finding import Finding, Severity
-from companion.tools.doctor.gather import Notes, snapshot_of
-from companion.tools.doctor.rules_links import WATCHED
+from companion.tools.doctor.listening import Notes, snapshot_of
+from companion.tools.doctor.rules_watched import WATCHED
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.clock import SystemClock
 from drivers.mavlink.autopilot import Autopilot, links_of, open_autopilot

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from companion.base.observer import ProcessedFrame
 from companion.base.worker import Worker
+from companion.parts.page.ground_tools import NO_CALIBRATION_IN_FLIGHT
 from companion.parts.page.messages import CalibrationReport, CalibrationRequest, ToolRequest
 from companion.parts.page.settings_tool import ARMED, NO_FILE
 from companion.parts.page.viewer import PageService, PageViewer, Tool
@@ -20,7 +21,6 @@ from estimator.contracts.errors import BadInput, DecklanderError
 from estimator.contracts.time import MonoNs, seconds_between
 from estimator.vision.camera.camera import Camera
 
-NO_CALIBRATION_IN_FLIGHT = "the vehicle flies: the camera is calibrated on the ground"
 TOOK_OFF = "the vehicle took off, which ends the calibration"
 NAME = "camera_calibrated.toml"
 _FRAME_S = 0.2

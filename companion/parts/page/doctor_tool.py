@@ -7,14 +7,17 @@ from msgspec import structs
 
 from companion.base.health import HealthSnapshot
 from companion.base.worker import Worker
+from companion.parts.page.ground_tools import NO_EXAMINATION_IN_FLIGHT
 from companion.parts.page.messages import ExaminedReport, ExamineRequest, PageFinding, ToolRequest
 from companion.parts.page.viewer import PageService, PageViewer, Tool
 from companion.settings.model import Settings
+from companion.tools.doctor.diagnose import counted, diagnose
+from companion.tools.doctor.gather import examine_open
+from companion.tools.doctor.gather_service import running_service
 from companion.tools.doctor.snapshot import LinkSnapshot, Snapshot
 from drivers.mavlink.options import autopilot_of
 from estimator.contracts.time import MonoNs, seconds_between
 
-IN_FLIGHT = "the vehicle flies: the setup is examined on the ground; health says what is wrong now"
 EXAMINATION_ENDED = "the vehicle took off, which ends the examination"
 
 _AGAIN_S = 5.0
@@ -41,7 +44,7 @@ class DoctorTool(Tool):
 
     def ask(self, viewer: PageViewer, request: ToolRequest) -> None:
         if self._service.flying:
-            viewer.tell(ExaminedReport(text=IN_FLIGHT))
+            viewer.tell(ExaminedReport(text=NO_EXAMINATION_IN_FLIGHT))
         elif self._newest is not None and seconds_between(self._newest[0], self._service.clock.now()) < _AGAIN_S:
             viewer.tell(self._newest[1])
         else:
@@ -71,8 +74,6 @@ class DoctorTool(Tool):
         snapshot, service = Snapshot(0.0), self._service
         autopilot, vehicle = service.autopilot(), autopilot_of(service.settings.vehicle)
         if autopilot is not None and vehicle is not None:
-            from companion.tools.doctor.gather import examine_open
-
             channel = service.settings.operator.switch.channel
             snapshot = await examine_open(autopilot, vehicle.system_id, service.clock, LISTENING_S, channel)
         elif vehicle is not None:
@@ -84,10 +85,6 @@ class DoctorTool(Tool):
 
 
 def _report(snapshot: Snapshot, settings: Settings, health: HealthSnapshot) -> ExaminedReport:
-    # The dialect is large, and a service without an autopilot does not need it before the first request.
-    from companion.tools.doctor.diagnose import counted, diagnose
-    from companion.tools.doctor.gather_service import running_service
-
     findings = diagnose(structs.replace(snapshot, service=running_service(settings, health)))
     return ExaminedReport(
         text=f"{counted(snapshot, len(findings)).replace(chr(10), '; ')}. {_about(snapshot)}",

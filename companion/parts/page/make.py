@@ -1,9 +1,8 @@
-"""Make the page with its tools from the settings of a service: the guided calibration and the doctor among them."""
+"""Make the page with its tools from the settings of a service."""
 
 from companion.cycle.ports import Assembly
-from companion.parts.page.calibration_tool import CalibrationTool
-from companion.parts.page.doctor_tool import DoctorTool
 from companion.parts.page.endpoint import PageEndpoint
+from companion.parts.page.ground_tools import TOOLS, LoadedTool
 from companion.parts.page.recordings import Recordings
 from companion.parts.page.settings_tool import SettingsTool
 from companion.parts.page.viewer import PageService
@@ -16,7 +15,8 @@ def make_page(service: PageService, vehicle: str) -> PageEndpoint:
     Args:
         vehicle: the vehicle's name for the page.
     """
-    return PageEndpoint(service, vehicle, [tool(service) for tool in (DoctorTool, SettingsTool, CalibrationTool, Recordings)])
+    tools = (SettingsTool(service), Recordings(service), *(LoadedTool(service, kind) for kind in TOOLS))
+    return PageEndpoint(service, vehicle, tools)
 
 
 def join(service: Assembly) -> None:

@@ -1,80 +1,31 @@
 """Take a snapshot of an autopilot over its links. It judges nothing and changes nothing."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-from msgspec import Struct, field, structs
+from msgspec import structs
 
 from companion.tools.doctor import rules_switch
 from companion.tools.doctor.diagnose import PARAMETERS
 from companion.tools.doctor.firmware_parameters import defaults_of, differing, earlier_names, names_in
-from companion.tools.doctor.snapshot import (
-    AutopilotSnapshot,
-    FoundSystem,
-    GimbalSnapshot,
-    IdConflictSnapshot,
-    LinkSnapshot,
-    Snapshot,
-    TimeSyncSnapshot,
-)
+from companion.tools.doctor.listening import Notes, snapshot_of
+from companion.tools.doctor.snapshot import GimbalSnapshot, Snapshot
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import mav
 from drivers.mavlink.gimbal import Gimbal, tending
-from drivers.mavlink.links import Link, LinkOptions, ReceivedMessage
+from drivers.mavlink.links import LinkOptions
 from drivers.mavlink.options import AutopilotOptions, GimbalOptions
-from drivers.mavlink.rc_channels import FIRST, LAST, POSITIONS, RATE_HZ, band_of, pulse_us
-from drivers.mavlink.requests import RATES_HZ
-from drivers.mavlink.vehicle import is_autopilot, stack_of
+from drivers.mavlink.rc_channels import RATE_HZ
 from estimator.contracts.time import Clock, MonoNs, seconds_between
 
-_PRECLAND_BIT = int(mav.MAV_SYS_STATUS_SENSOR_VISION_POSITION)
-"""The SYS_STATUS bit in which ArduCopter reports precision landing."""
 _REQUESTS_MAX_S = 30.0  # longest wait for streams and parameters
 _VERSION_S = 1.0  # longest wait for the version
 _FIRST_ANSWER_S = 5.0
 """Time after which an autopilot that answered nothing at all is not waited for, seconds."""
 _POLL_S = 0.05  # interval at which a wait is checked
-_FOUND_MAX = 256  # systems that are noted
 _RESTS_S = 3.0
 """Time without a move after which a switch counts as tried, seconds."""
 
 Say = Callable[[str], None]
-
-
-class Notes(Struct):
-    """Messages on the links that `Autopilot` does not keep."""
-
-    systems: dict[tuple[int, int], FoundSystem] = field(default_factory=dict)
-    enabled: bool | None = None
-    healthy: bool | None = None
-    channels: dict[int, dict[str, int]] = field(default_factory=dict)
-    before: dict[int, int | None] = field(default_factory=dict)
-    """Position of each channel in the message before: one that is passed on the way is not noted."""
-
-    def on_message(self, received: ReceivedMessage) -> None:
-        m, name = received.message, received.message.get_type()
-        if name == "HEARTBEAT" and len(self.systems) < _FOUND_MAX:
-            stack = "" if m.autopilot == mav.MAV_AUTOPILOT_INVALID else stack_of(m).value
-            named = mav.enums["MAV_TYPE"].get(m.type)
-            kind = f"type {m.type}" if named is None else named.name.removeprefix("MAV_TYPE_").replace("_", " ").lower()
-            self.systems[received.system, received.component] = FoundSystem(
-                received.system, received.component, stack, kind, is_autopilot(m, received.component)
-            )
-        elif name == "SYS_STATUS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
-            self.enabled = bool(m.onboard_control_sensors_enabled & _PRECLAND_BIT)
-            self.healthy = bool(m.onboard_control_sensors_health & _PRECLAND_BIT)
-        elif name == "RC_CHANNELS" and received.component == mav.MAV_COMP_ID_AUTOPILOT1:
-            for channel in range(FIRST, LAST + 1):
-                band = band_of(pulse := pulse_us(m, channel))
-                if pulse is not None and band is not None and band == self.before.get(channel):
-                    stood = self.channels.setdefault(channel, {})
-                    stood.pop(POSITIONS[band], None)
-                    stood[POSITIONS[band]] = pulse
-                self.before[channel] = band
-
-    def moved(self) -> dict[int, dict[str, int]]:
-        """Return the channels that stood in more than one position."""
-        return {channel: stood for channel, stood in self.channels.items() if len(stood) > 1}
 
 
 async def examine(
@@ -105,7 +56,7 @@ async def examine(
         rates: dict[str, float] = {}
         if autopilot.identity is not None:
             rates = await _ask(autopilot, notes, clock, seconds, say, channel)
-        snapshot = snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now()))
+        snapshot = _compared(snapshot_of(autopilot, notes, rates, options.system_id, seconds_between(began, clock.now())))
         if found is None or snapshot.autopilot is None:
             return snapshot
         return structs.replace(snapshot, gimbal=GimbalSnapshot(found.device_id, found.rate_hz, dict(found.sampler.refused)))
@@ -128,7 +79,7 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
             await clock.sleep(seconds)
         else:
             rates = await _ask(autopilot, notes, clock, seconds, lambda text: None, channel)
-        snapshot = snapshot_of(autopilot, notes, rates, wanted, seconds_between(began, clock.now()))
+        snapshot = _compared(snapshot_of(autopilot, notes, rates, wanted, seconds_between(began, clock.now())))
     finally:
         autopilot.remove_listener(notes.on_message)
         if autopilot.parameters is not None:
@@ -139,6 +90,15 @@ async def examine_open(autopilot: Autopilot, wanted: int, clock: Clock, seconds:
     newer = min(autopilot.counts["EVENT"] - events, len(autopilot.events))
     numbers = tuple(autopilot.events)[len(autopilot.events) - newer :]
     return structs.replace(snapshot, autopilot=structs.replace(snapshot.autopilot, texts=texts, events=numbers))
+
+
+def _compared(snapshot: Snapshot) -> Snapshot:
+    """Return a snapshot with what differs from the firmware's defaults."""
+    a = snapshot.autopilot
+    if a is None:
+        return snapshot
+    differs = differing(a.parameters, defaults_of(a.stack, a.firmware, a.parameters))
+    return structs.replace(snapshot, autopilot=structs.replace(a, differs=differs))
 
 
 async def seen_moving(options: AutopilotOptions, clock: Clock, seconds: float) -> dict[int, dict[str, int]] | None:
@@ -202,59 +162,3 @@ async def wait_until(clock: Clock, seconds: float, done: Callable[[], bool]) -> 
     began: MonoNs = clock.now()
     while not done() and seconds_between(began, clock.now()) < seconds:
         await clock.sleep(_POLL_S)
-
-
-def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wanted: int, seconds: float) -> Snapshot:
-    """Return the snapshot as it is now, with the links' counters since they were opened first.
-
-    Args:
-        rates: rate of each message, Hz.
-        wanted: the system id that the settings request; 0 for any.
-        seconds: how long was listened.
-    """
-    found = tuple(notes.systems[ids] for ids in sorted(notes.systems))
-    links = tuple(link_snapshot(link) for link in autopilot.links.all)
-    id_conflicts = tuple(IdConflictSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.id_conflicts)
-    identity, sync = autopilot.identity, autopilot.sync
-    if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, systems=found, id_conflicts=id_conflicts)
-    parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
-    firmware = None if autopilot.version is None else autopilot.version.firmware
-    values = {} if parameters is None else dict(sorted(parameters.values.items()))
-    return Snapshot(
-        seconds,
-        links,
-        AutopilotSnapshot(
-            stack=identity.stack.value,
-            system=identity.system,
-            others=tuple(sorted({one.system for one in found if one.hovers} - {identity.system})),
-            firmware=firmware,
-            mode=condition.mode,
-            armed=condition.armed,
-            flying=condition.flying,
-            parameters=values,
-            absent=() if parameters is None else tuple(sorted(parameters.absent)),
-            rates_hz={name: round(rate, 2) for name, rate in sorted(rates.items())},
-            wanted_hz=dict(RATES_HZ[identity.stack]),
-            refused={} if streams is None else streams.refused,
-            texts=tuple(text for _, _, text in autopilot.texts),
-            events=tuple(autopilot.events),
-            channels=notes.channels,
-            precland_enabled=notes.enabled,
-            precland_healthy=notes.healthy,
-            differs=differing(values, defaults_of(identity.stack.value, firmware, values)),
-        ),
-        TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps, sync.jumped_s),
-        wanted_system=wanted,
-        systems=found,
-        id_conflicts=id_conflicts,
-    )
-
-
-def link_snapshot(link: Link) -> LinkSnapshot:
-    """Return the counters of a link since it was opened first."""
-    codec, text = link.counters.codec, link.counters.text
-    of_codec = {"behind_s": codec.behind_s, "with_signature": codec.with_signature}
-    counted: dict[str, Any] = link.counters.as_dict() | of_codec | {"text": text, "signed": link.signed}
-    known = {name: n for name, n in counted.items() if name in LinkSnapshot.__struct_fields__}
-    return LinkSnapshot(str(link.endpoint), link.down, **known)

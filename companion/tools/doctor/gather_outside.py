@@ -19,7 +19,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.settings import files
-from companion.settings.capabilities import CAPABILITIES, imported, is_offered, offered
+from companion.settings.capabilities import CAPABILITIES, is_offered, offered
 from companion.settings.links import HttpSettings
 from companion.settings.model import Settings
 from companion.tools.doctor.diagnose import PARAMETERS
@@ -32,6 +32,7 @@ from drivers.files import Largest, bytes_of
 from drivers.log_history import AutopilotLog, LogHistory
 from drivers.log_stamps import Tell
 from estimator.contracts.errors import BadInput, DecklanderError
+from estimator.contracts.tables import imported
 from estimator.contracts.text import utf8_of
 from estimator.contracts.time import Clock, seconds_between
 

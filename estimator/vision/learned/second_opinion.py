@@ -42,8 +42,6 @@ _LEAST_SEEN = 0.03  # Least share of the pad in view that can be compared
 _FINE_M = 0.006  # Distance between the samples that the drawing is blurred at
 _BARE = 0.2  # Linear light that a deck without paint is taken for
 _TONE = 2.2  # Exponent of the tone curve of frames, by which the drawing's light is converted
-WORTH_ASKING = 0.1
-"""Confidence of the verification below which the second opinion is not used: no pad is seen there anyway."""
 
 
 class Patch(Struct, frozen=True, eq=False):
@@ -179,11 +177,7 @@ class SecondOpinion:
         return SecondOpinion, (self._onnx, self._where)
 
     def log_odds(self, pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, cut: F64 | None = None) -> float | None:
-        """Return the log-odds that the pad is at a pose; None if hardly any of it is in view.
-
-        Args:
-            cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
-        """
+        """Answer as `estimator.vision.track.config.SecondOpinion` says; the network is run on this thread."""
         patch = patch_of(pyramid, camera, pad, pose, cut)
         return None if patch is None else float(self._asked(inputs(patch)).item())
 

@@ -19,6 +19,7 @@ from msgspec import structs
 
 from estimator.contracts.estimates import CENTRE, Feature, Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.tables import imported
 from estimator.vision.camera.camera import Camera
 from estimator.vision.detect.acquire import FRESH_SEARCH, SearchMemory
 from estimator.vision.detect.template import fade
@@ -28,8 +29,10 @@ from estimator.vision.track.config import TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace
 from estimator.vision.track.memory import Now, Registered, Seen, TrackerMemory
 from estimator.vision.track.read_deck import shows_deck
-from estimator.vision.track.register import by_thesis, register, verify_cues
+from estimator.vision.track.register import register
 
+THESIS = "estimator.vision.track.by_thesis"
+"""The module of the thesis' methods, loaded where the settings want them."""
 _NEAR_DRAWN_M = 0.4  # Width of the outline of something about the pad, whose own is not known
 _SQUARE = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])  # An outline of one metre
 
@@ -43,7 +46,8 @@ def by_paint(
     registered, left = register(now, belief, place)
     thesis = None
     if tracker.options.method != "registration":
-        thesis, registered = verify_cues(now, by_thesis(now.tracker, frame, attitude), registered, place)
+        by_thesis = imported(THESIS)
+        thesis, registered = by_thesis.verify_cues(now, by_thesis.by_thesis(now.tracker, frame, attitude), registered, place)
     settled = registered.settled()
     seen = _detection(now, settled, thesis, place)
     return structs.replace(seen, unfinished=left is not FRESH_SEARCH), _remembered(now, settled.tracked, left, belief)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from estimator.integrity.options import IntegrityOptions
 from estimator.vision.camera.camera import Camera
@@ -11,8 +11,10 @@ from estimator.vision.options import TrackerOptions
 from estimator.vision.pad.pad import Pad
 
 if TYPE_CHECKING:
+    from estimator.contracts.geometry import F64
+    from estimator.vision.camera.pose import PadPose
     from estimator.vision.camera.rolling import CameraMotion
-    from estimator.vision.learned.second_opinion import SecondOpinion
+    from estimator.vision.detect.pyramid import Pyramid
 
 FRAME_WORK = 14.0
 """Work in one frame of a flight, in floors, at which its search goes on with the next frame.
@@ -22,6 +24,18 @@ besides takes a third as long.
 """
 IMAGE_WORK = 36.0
 """Work in an image on its own, in floors, at which its search ends."""
+
+
+class SecondOpinion(Protocol):
+    """The port of the trained network (`estimator.vision.learned.second_opinion`)."""
+
+    def log_odds(self, pyramid: Pyramid, camera: Camera, pad: Pad, pose: PadPose, cut: F64 | None = None) -> float | None:
+        """Return the log-odds that the pad is at a pose; None if hardly any of it is in view.
+
+        Args:
+            cut: the line beyond which something covers the pad, (3,); see `alignment.UNCUT`.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

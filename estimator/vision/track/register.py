@@ -3,57 +3,45 @@
 from __future__ import annotations
 
 import dataclasses
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from msgspec import structs
 
-from estimator.contracts.estimates import Method, RelativeState, Sighting
+from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import F64
-from estimator.contracts.samples import Attitude, Frame
-from estimator.vision.camera.pose import Orientation, PadPose
-from estimator.vision.detect.acquire import FRESH_SEARCH, PadCandidate, SearchMemory, align_at, search
-from estimator.vision.detect.guesses import Plane, heading
+from estimator.vision.camera.pose import PadPose
+from estimator.vision.detect.acquire import FRESH_SEARCH, SearchMemory, align_at, search
+from estimator.vision.detect.guesses import Plane
 from estimator.vision.detect.pose_about import pose_about
-from estimator.vision.detect.pyramid import FrameView
 from estimator.vision.detect.template import LEARNED_AT, fade
 from estimator.vision.detect.verification import TRACKED_LOG_ODDS, calibrate, confidence
-from estimator.vision.detection import Detection, Opinions, agree
-from estimator.vision.learned.second_opinion import WORTH_ASKING
+from estimator.vision.detection import Opinions
 from estimator.vision.pad.information import alike_headings
 from estimator.vision.register.doubts import nearest_of_four
 from estimator.vision.register.registration import RegistrationOptions
 from estimator.vision.register.sighting import sighting_of_look
 from estimator.vision.register.verified import CLOSE, CODED_PX, ROUGH, SURE, Verified, verify
-from estimator.vision.thesis.detection import detect
-from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.track.config import TrackerConfig
-from estimator.vision.track.expected import EXPECTED_SIGMAS, ExpectedPlace, expected, in_camera, near_enough, sigma_of
+from estimator.vision.track.expected import EXPECTED_SIGMAS, ExpectedPlace, expected, near_enough, sigma_of
 from estimator.vision.track.memory import WORTH_ANOTHER, Now, Registered, Seen
 
 _CLOSE_PX = 1.0  # Largest standard deviation of the expected position in the frame at which registration starts directly from it
-_NEAREST_M = 0.05  # Least depth of a pose that is registered
+NEAREST_M = 0.05
+"""Least depth of a pose that is registered."""
 _SEARCHED = 0.75  # Share of a frame's work at which a search ends: the rest is for the registration of a candidate
 _CANDIDATES = 2  # Number of candidates of acquisition that are registered, those after the first while the frame's work lasts
 WORTH_A_TRY = 0.03
 """Score of a candidate of acquisition, or of a drawing at a method's pose, below which it is not registered."""
 _COVER_SURE = 0.9  # Least confidence and agreement of what is seen beside a cover that was found before
 _SMALL_PX = 15.0  # Radius of the disc below which a pad that the estimate did not lead to is searched some pixels about its place
+_WORTH_ASKING = 0.1  # Confidence of the verification below which no second opinion is used: no pad is seen there anyway
 _LEAST_ABOUT = 0.12
 """Least fraction of the variance that the drawing must explain there: of pads in glare or half covered it is 0.16 or more."""
-
-
-def by_thesis(tracker: TrackerConfig, frame: Frame, attitude: Attitude | None) -> Detection:
-    """Return what the thesis' methods detect."""
-    o = tracker.options
-    return detect(frame, attitude, tracker.camera, tracker.pad, COLOUR_SETS[o.colours], sigma_deck_rad=o.deck_tilt_sigma_rad)
 
 
 def register(now: Now, belief: RelativeState | None, place: ExpectedPlace) -> tuple[Seen, SearchMemory]:
     """Register where the belief expects the pad, else where a search finds it; return the best, and what the search leaves."""
     start, best, suspect = _start_of(now, belief), Seen(), False
-    if start is not None and start.pose.t_cam_pad[2] > _NEAREST_M:
+    if start is not None and start.pose.t_cam_pad[2] > NEAREST_M:
         best, suspect = _from_belief(now, start, place)
     if best.is_sure and (best.agrees or not suspect):
         return best, FRESH_SEARCH
@@ -89,14 +77,14 @@ def _from_belief(now: Now, start: _Start, place: ExpectedPlace) -> tuple[Seen, b
     close = start.sigma_m * camera.fx < _CLOSE_PX * start.pose.t_cam_pad[2]
     beside = _beside_cover(now, start.pose)
     if beside is None or min(beside.sighting.confidence, beside.agreement) < _COVER_SURE:
-        beside = _register_from(now, start.pose, CLOSE if close else ROUGH, TRACKED_LOG_ODDS, searched=False)
+        beside = register_from(now, start.pose, CLOSE if close else ROUGH, TRACKED_LOG_ODDS, searched=False)
     best = Seen().having(beside, place)
     suspect = not close and best.tracked is not None and best.tracked.agreement < WORTH_ANOTHER
     if suspect:
         # The whole drawing, blurred, draws from farther away than edges do.
         aligned = align_at(start.pose, now.orientation.measured, now.view)
         if aligned is not None and aligned.score >= WORTH_A_TRY:
-            best = best.having(_register_from(now, aligned.pose, CLOSE, TRACKED_LOG_ODDS, searched=False), place)
+            best = best.having(register_from(now, aligned.pose, CLOSE, TRACKED_LOG_ODDS, searched=False), place)
     by_parts = pad.markings.is_searched_by_parts and not pad.markings.is_letter_alone
     if not best.is_sure and by_parts and start.pose.px_of(pad.disc_radius_m, camera) < _SMALL_PX:
         best = best.having(_about(now, start.pose), place)
@@ -109,7 +97,7 @@ def _beside_cover(now: Now, start: PadPose) -> Registered | None:
     if cover is None:
         return None
     cut = np.asarray(np.linalg.solve(start.rays().T, cover[0]))
-    return _register_from(now, start, CLOSE, TRACKED_LOG_ODDS, cut, searched=False)
+    return register_from(now, start, CLOSE, TRACKED_LOG_ODDS, cut, searched=False)
 
 
 def _about(now: Now, start: PadPose) -> Registered | None:
@@ -119,7 +107,7 @@ def _about(now: Now, start: PadPose) -> Registered | None:
     about = pose_about(now.view.as_seen(), plane, start)
     if about is None or about[1] < _LEAST_ABOUT:
         return None
-    return _register_from(now, about[0], CLOSE, TRACKED_LOG_ODDS, searched=False)
+    return register_from(now, about[0], CLOSE, TRACKED_LOG_ODDS, searched=False)
 
 
 def _from_search(now: Now, start: _Start | None, place: ExpectedPlace, best: Seen, suspect: bool) -> tuple[Seen, SearchMemory]:
@@ -132,7 +120,7 @@ def _from_search(now: Now, start: _Start | None, place: ExpectedPlace, best: See
         if candidate.score < WORTH_A_TRY or (number > 0 and now.view.pyramid.work > work):
             break
         prior = TRACKED_LOG_ODDS if start is not None and start.is_near(candidate.pose) else 0.0
-        best = best.having(_register_from(now, _of_four(now, candidate.pose), CLOSE, prior, candidate.cut), place)
+        best = best.having(register_from(now, _of_four(now, candidate.pose), CLOSE, prior, candidate.cut), place)
         if best.is_sure and (best.agrees or not suspect):
             break
     return best, found.memory
@@ -147,42 +135,7 @@ def _of_four(now: Now, pose: PadPose) -> PadPose:
     return nearest_of_four(pose, R_level_cam, now.memory.alike_yaw_rad or 0.0)
 
 
-def verify_cues(now: Now, thesis: Detection, best: Seen, place: ExpectedPlace) -> tuple[Detection, Seen]:
-    """Verify the cues of the thesis' methods, and return them with the best registrations.
-
-    A cue's confidence is limited to that of the drawing registered at the cue's pose, unless it agrees with a confident
-    registration. The returned registrations are the best of the given ones and those started from cues.
-    """
-    sure = best.tracked.sighting if best.tracked is not None and best.is_sure else None
-    methods: dict[Method, Sighting | None] = dict(thesis.methods)
-    for method, cue in thesis.methods.items():
-        if cue is None or (sure is not None and agree(cue, sure)):
-            continue
-        candidate = _align_cue(now.view, cue, now.orientation)
-        aligned = None
-        if candidate is not None and candidate.score >= WORTH_A_TRY:
-            aligned = _register_from(now, candidate.pose, CLOSE)
-        methods[method] = structs.replace(
-            cue, confidence=0.0 if aligned is None else min(cue.confidence, aligned.sighting.confidence)
-        )
-        best = best.having(aligned, place)
-    return structs.replace(thesis, methods=MappingProxyType(methods)), best
-
-
-def _align_cue(view: FrameView, cue: Sighting, orientation: Orientation) -> PadCandidate | None:
-    """Align the drawing at a cue's pose. A cue without a heading is aligned at the heading that fits best."""
-    flat = in_camera(cue.d_body_pad_level, cue.yaw_rad or 0.0, orientation.R_level_body, view.camera)
-    if flat.t_cam_pad[2] < _NEAREST_M:
-        return None
-    if cue.yaw_rad is None:
-        found = heading(view, flat)
-        if found is None:
-            return None
-        flat = flat.turned(found.turn_rad)
-    return align_at(flat, orientation.measured, view)
-
-
-def _register_from(
+def register_from(
     now: Now,
     start: PadPose,
     options: RegistrationOptions,
@@ -214,7 +167,7 @@ def _register_from(
 def _second_opinion(now: Now, of: Verified) -> Opinions | None:
     """Return both opinions on a registration; None if the second opinion is not used or sees too little of the pad."""
     network = now.tracker.second_opinion
-    if network is None or of.confidence < WORTH_ASKING:
+    if network is None or of.confidence < _WORTH_ASKING:
         return None
     log_odds = network.log_odds(*now.view, of.found.pose, of.cut)
     return None if log_odds is None else Opinions(of.confidence, confidence(log_odds))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from estimator.contracts.estimates import UNSURE, Method, RelativeState, Sighting
 from estimator.contracts.samples import Attitude, Frame
+from estimator.contracts.tables import imported
 from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera.camera import Camera
 from estimator.vision.camera.pose import SIGMA_DECK_RAD
@@ -27,13 +28,12 @@ from estimator.vision.native import work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad.pad import Pad
 from estimator.vision.register.verified import SURE
-from estimator.vision.track.by_paint import by_paint
+from estimator.vision.track.by_paint import THESIS, by_paint
 from estimator.vision.track.config import TrackerConfig as TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace, expected, near_enough, sigma_of
 from estimator.vision.track.lamps import by_lamps
 from estimator.vision.track.memory import TrackerMemory as TrackerMemory
 from estimator.vision.track.read_deck import read_deck
-from estimator.vision.track.register import by_thesis
 
 _EVERY_PX = 16  # Sampling step of columns and rows for the test whether a frame is dark
 _DARK = 25
@@ -66,7 +66,8 @@ def sight(
     """
     frame = _of_one_instant(tracker, memory, frame, attitude, belief)
     if tracker.options.method == "thesis":
-        return by_thesis(tracker, frame, attitude), memory
+        found: Detection = imported(THESIS).by_thesis(tracker, frame, attitude)
+        return found, memory
     if not tracker.pad.lamps:
         return _painted(tracker, memory, frame, attitude, belief)
     began = work_done()

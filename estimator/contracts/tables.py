@@ -1,12 +1,13 @@
-"""A machine's table of states and events: total, and checked where it is made.
+"""Tables: of a machine's states and events, total and checked where it is made; of names, loaded where they are wanted.
 
-Source: ``_state.py`` of h11 for the form: one table in one file, total.
+Source: ``_state.py`` of h11 for the form of the first: one table in one file, total.
 """
 
 from collections.abc import Iterator, Mapping
 from enum import Enum
+from importlib import import_module
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 S = TypeVar("S", bound=Enum)
 E = TypeVar("E", bound=Enum)
@@ -35,3 +36,9 @@ def next_states(row: Mapping[E, S], usual: Mapping[E, S | None]) -> Iterator[tup
         if target is not usual[event]:
             ways.setdefault(target, []).append(event)
     yield from ways.items()
+
+
+def imported(name: str) -> Any:
+    """Return the object that module:object names, or the module that a name alone does."""
+    module, _, attribute = name.partition(":")
+    return getattr(import_module(module), attribute) if attribute else import_module(module)
