@@ -228,14 +228,11 @@ def vessel_position(
 
 
 def change(options: _T, **sections: Any) -> _T:
-    """Return options with other values of some keys; a mapping changes a section: `change(o, tries={"rounds_max": 1})`."""
-    return msgspec.structs.replace(
-        options,
-        **{
-            name: change(getattr(options, name), **value) if isinstance(value, Mapping) else value
-            for name, value in sections.items()
-        },
-    )
+    """Return options with other values of keys and constants; a mapping changes a section: `change(o, tries={"try_s": 9.0})`."""
+    inner = {name: change(getattr(options, name), **of) if isinstance(of, Mapping) else of for name, of in sections.items()}
+    if inner.keys() <= set(options.__struct_fields__):  # type: ignore[attr-defined]
+        return msgspec.structs.replace(options, **inner)
+    return tuned(type(options), **({name: getattr(options, name) for name in options.__struct_fields__} | inner))  # type: ignore[attr-defined]
 
 
 def tuned(kind: type[_T], **values: Any) -> _T:

@@ -27,8 +27,8 @@ class ConeOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     gate_height_m: Annotated[
         float, tuning("height of the feet over the deck at which it waits until every limit holds", "m", 0.1, 3.0, public=True)
     ] = 0.25
-    gate_dwell_s: Annotated[float, tuning("time for which every limit must have held", "s", 0.0, 10.0)] = 0.1
-    gate_s: Annotated[float, tuning("longest wait there in one try; after it the drone goes around", "s", 1.0, 600.0)] = 20.0
+    gate_dwell_s: ClassVar[float] = 0.1  # Time for which every limit must have held
+    gate_s: ClassVar[float] = 20.0  # Longest wait there in one try; after it the drone goes around
     commit_rate_m_s: Annotated[float, tuning("rate against the deck from the gate to the contact", "m/s", 0.1, 2.0)] = 0.4
     commit_s: Annotated[
         float, tuning("longest time from the gate to a felt contact; after it the drone goes around", "s", 0.5, 30.0)
@@ -72,9 +72,7 @@ class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float, tuning("largest speed along the deck expected at the contact, at the gate", "m/s", 0.02, 5.0)
     ] = 0.2
     sigma_m: Annotated[float, tuning("largest horizontal standard deviation of the estimate at the gate", "m", 0.01, 2.0)] = 0.15
-    sighting_age_s: Annotated[
-        float, tuning("largest age of the newest sighting at the gate beyond the camera's own delay", "s", 0.05, 5.0)
-    ] = 0.3
+    sighting_age_s: ClassVar[float] = 0.3  # Largest age of the newest sighting at the gate beyond the camera's own delay
     commit_sighting_age_s: Annotated[
         float, tuning("the same in the commit, where the pad leaves the camera's view", "s", 0.1, 5.0)
     ] = 1.5
@@ -103,9 +101,7 @@ class LandingLimits(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float,
         tuning("largest recent mean of the sightings' innovations over their claimed variance, at the gate", "1", 1.0, 100.0),
     ] = 4.0
-    time_sigma_s: Annotated[
-        float, tuning("largest standard deviation of the frames' time stamps at the gate", "s", 0.001, 1.0)
-    ] = 0.03
+    time_sigma_s: ClassVar[float] = 0.03  # Largest standard deviation of the frames' time stamps at the gate
     heading_deg: Annotated[
         float, tuning('largest heading off the arrow at the gate if heading is "align"', "deg", 1.0, 180.0, public=True)
     ] = 12.0
@@ -168,9 +164,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             600.0,
         ),
     ] = 45.0
-    try_s: Annotated[
-        float, tuning("longest time of a try from the first sight; after it the drone goes around", "s", 5.0, 3600.0)
-    ] = 120.0
+    try_s: ClassVar[float] = 120.0  # Longest time of a try from the first sight; after it the drone goes around
     landing_s: Annotated[
         float,
         tuning(
@@ -182,7 +176,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 180.0
     losses_max: Annotated[int, tuning("largest number of losses of sight below the safe height in one try", "1", 0, 1000)] = 8
-    blind_descent_max_m: Annotated[float, tuning("largest total descent of one try without sight", "m", 0.05, 10.0)] = 0.5
+    blind_descent_max_m: ClassVar[float] = 0.5  # Largest total descent of one try without sight
     go_arounds_max: Annotated[
         int, tuning("number of go-arounds; after them the drone holds and waits", "1", 0, 100, public=True)
     ] = 5
@@ -220,7 +214,8 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             public=True,
         ),
     ] = "operator"
-    another_pad_s: Annotated[float, tuning("that sight", "s", 1.0, 120.0)] = 5.0
+    another_pad_s: ClassVar[float] = 5.0
+    """Unbroken sight of one pad alone after which another one is taken, if another_pad is "automatic"."""
     operator_wait_s: Annotated[
         float, tuning("longest wait for the operator's decision about another pad", "s", 1.0, 3600.0, public=True)
     ] = 60.0

@@ -1,6 +1,6 @@
 """The table [recorder] of the settings."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from estimator.contracts.keys import CheckedOptions, choice, text, tuning
 
@@ -46,10 +46,8 @@ class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     sync_s: Annotated[
         float, tuning("interval between synchronisations with the disk, the most that a power cut loses", "s", 0.1, 600.0)
     ] = 5.0
-    queue_records: Annotated[
-        int, tuning("records that may wait for the disk; further ones are dropped and counted", "records", 16, 1_000_000)
-    ] = 4096
-    queue_frames: Annotated[int, tuning("frames among them, about 0.7 MB each", "frames", 1, 1000)] = 15
+    queue_records: ClassVar[int] = 4096  # Records that may wait for the disk; further ones are dropped and counted
+    queue_frames: ClassVar[int] = 15  # Frames among them, about 0.7 MB each
 
     retry_s: Annotated[
         float, tuning("back-off before the disk or folder is tried again after a fault; it doubles each time", "s", 0.01, 60.0)

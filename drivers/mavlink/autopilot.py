@@ -515,9 +515,9 @@ class Autopilot:
         before, stack = self._known, stack_of(received.message)
         self.links.bind_autopilot(received)
         identity = Identity(received.system, received.component, stack, int(received.message.type))
-        sync = TimeSync(self._o.timesync)
+        sync = TimeSync()
         clock = BootClock(sync)
-        sampler = MavlinkSampler(stack, clock, self._o.samples, tell=lambda text: _log.warning("autopilot: %s", text))
+        sampler = MavlinkSampler(stack, clock, tell=lambda text: _log.warning("autopilot: %s", text))
         parameters = Parameters(stack, self._wanted_of(stack))
         streams, streamer = Streams(RATES_HZ[stack]), SetpointStreamer(identity, self._o, self._authority)
         at = received.received_at

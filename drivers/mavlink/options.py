@@ -101,43 +101,6 @@ class MavlinkOptions(LinkLimits, frozen=True, forbid_unknown_fields=True, kw_onl
         return "not signed: decklander keys make FILE; decklander keys install --link URL FILE; then signing_key_file = FILE"
 
 
-class SampleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The uncertainty of an autopilot's readings."""
-
-    sigma_tilt_rad: ClassVar[float] = math.radians(0.5)
-    """Standard deviation of roll and pitch."""
-    sigma_yaw_rad: ClassVar[float] = math.radians(3.0)
-    """Standard deviation of the heading."""
-    sigma_velocity_m_s: Annotated[float, tuning("standard deviation of each axis of the velocity", "m/s", 0.001, 10.0)] = 0.1
-    sigma_range_m: Annotated[
-        float, tuning("standard deviation of the rangefinder if its messages do not give it", "m", 0.001, 10.0)
-    ] = 0.03
-    sigma_baro_m: Annotated[float, tuning("standard deviation of the barometer", "m", 0.001, 100.0)] = 0.5
-    sigma_fix_m: Annotated[
-        float, tuning("standard deviation of the autopilot's place on the Earth, on each horizontal axis", "m", 0.01, 100.0)
-    ] = 2.0
-    sigma_vessel_fix_m: ClassVar[float] = 2.5
-    """Standard deviation of the place that the ship reports, unless she claims a larger one."""
-    sigma_vessel_velocity_m_s: ClassVar[float] = 0.2
-    """Standard deviation of each axis of the velocity that the ship reports."""
-    sigma_vessel_heading_rad: ClassVar[float] = math.radians(3.0)
-    """Standard deviation of the heading that the ship reports."""
-    status_period_s: ClassVar[float] = 0.5
-    """Interval at which an unchanged status is repeated."""
-    attitude_gap_s: ClassVar[float] = 0.2
-    """Largest time between a velocity and the newest attitude; other velocities are not used."""
-
-
-class TimeSyncOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
-    """The rate of time requests to the autopilot, and the answers that are accepted."""
-
-    period_s: Annotated[float, tuning("interval between time requests", "s", 0.01, 60.0)] = 1.0
-    first_period_s: Annotated[float, tuning("the same until the offset of the clocks is known", "s", 0.01, 60.0)] = 0.1
-    window_s: Annotated[float, tuning("time for which an answer is used", "s", 0.1, 600.0)] = 10.0
-    round_trip_max_s: Annotated[float, tuning("longest round trip of an answer that is used", "s", 0.001, 5.0)] = 0.25
-    drift_ppm: Annotated[float, tuning("largest drift between the two clocks", "ppm", 0.1, 10_000.0)] = 50.0
-
-
 _SYSTEMS = range(1, 256)
 
 
@@ -169,15 +132,11 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
     """Age above which a commanded velocity is replaced by a hold (twelve commands of guidance)."""
     attitude_timeout_s: ClassVar[float] = 0.5
     """Age of the newest heading above which the vehicle only holds or climbs."""
-    prestream_s: Annotated[
-        float,
-        number(
-            "time for which setpoints stream before OFFBOARD is requested from PX4", "s", 0.1, 30.0, "PX4 refuses before 1.5 s"
-        ),
-    ] = 2.0
+    prestream_s: ClassVar[float] = 2.0
+    """Time for which setpoints stream before OFFBOARD is requested from PX4 (PX4 refuses before 1.5 s)."""
     request_period_s: ClassVar[float] = 1.0
     """Time after which a mode, arming or take-off that did not happen is requested again."""
-    request_tries: Annotated[int, number("number of requests after which it is given up", "1", 1, 100)] = 5
+    request_tries: ClassVar[int] = 5  # Number of requests after which it is given up
     landing: Annotated[
         Literal["by stack", "mode", "velocity"],
         choice(
@@ -215,8 +174,6 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
     take_off_height_m: Annotated[float, tuning("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
     take_off_timeout_s: ClassVar[float] = 15.0
     """Time after which a take-off that has not happened is given up."""
-    samples: SampleOptions = SampleOptions()
-    timesync: TimeSyncOptions = TimeSyncOptions()
 
     over_ground = True
     returns = True

@@ -25,7 +25,6 @@ from drivers.mavlink.boot_clock import MS_WRAP_NS, BootClock, boot_ms, boot_us
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.failsafe import FailsafeWatch
 from drivers.mavlink.fields import measured
-from drivers.mavlink.options import SampleOptions
 from drivers.mavlink.vehicle import ARMED, Condition, Stack, flying_of, mode_name
 from drivers.one_source import SILENT_S, SourceChoice
 from estimator.contracts import samples as contract
@@ -34,6 +33,17 @@ from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Attitude, Baro, BodyVelocity, GeoFix, Imu, Range, Sample, VehicleStatus, VesselReport
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp, seconds_between
 
+_SIGMA_TILT_RAD = math.radians(0.5)  # standard deviation of roll and pitch
+_SIGMA_YAW_RAD = math.radians(3.0)  # standard deviation of the heading
+_SIGMA_VELOCITY_M_S = 0.1  # standard deviation of each axis of the velocity
+_SIGMA_RANGE_M = 0.03  # standard deviation of the rangefinder if its messages do not give it
+_SIGMA_BARO_M = 0.5  # standard deviation of the barometer
+_SIGMA_FIX_M = 2.0  # standard deviation of the autopilot's place on the Earth, on each horizontal axis
+_SIGMA_VESSEL_FIX_M = 2.5  # standard deviation of the place that the ship reports, unless she claims a larger one
+_SIGMA_VESSEL_VELOCITY_M_S = 0.2  # standard deviation of each axis of the velocity that the ship reports
+_SIGMA_VESSEL_HEADING_RAD = math.radians(3.0)  # standard deviation of the heading that the ship reports
+_STATUS_PERIOD_S = 0.5  # interval at which an unchanged status is repeated
+_ATTITUDE_GAP_S = 0.2  # largest time between a velocity and the newest attitude; other velocities are not used
 DOWN = 25
 """MAV_SENSOR_ROTATION_PITCH_270: looking down."""
 _ACC_AND_GYRO = 0b111111  # bits of HIGHRES_IMU's fields_updated for the six inertial values
@@ -125,17 +135,13 @@ class MavlinkSampler:
         self,
         stack: Stack,
         clock: BootClock,
-        options: SampleOptions | None = None,
         *,
         ranges: bool = True,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._stack = stack
         self._clock = clock
-        self._o = options or SampleOptions()
-        tilt_var, yaw_var, velocity_var = (
-            s**2 for s in (self._o.sigma_tilt_rad, self._o.sigma_yaw_rad, self._o.sigma_velocity_m_s)
-        )
+        tilt_var, yaw_var, velocity_var = (s**2 for s in (_SIGMA_TILT_RAD, _SIGMA_YAW_RAD, _SIGMA_VELOCITY_M_S))
         self._cov_attitude = fixed_matrix(tilt_var, 0.0, 0.0, 0.0, tilt_var, 0.0, 0.0, 0.0, yaw_var)
         self._cov_velocity = fixed_matrix(velocity_var, 0.0, 0.0, 0.0, velocity_var, 0.0, 0.0, 0.0, velocity_var)
         self.ranges = ranges
@@ -235,7 +241,7 @@ class MavlinkSampler:
         if place is None and v_ned is None and heading_rad is None:
             return []
         stamp = self._vessel_clock.stamp(boot_ms(message.time_boot_ms), received_at)
-        return self._of_vessel(stamp, place, self._o.sigma_vessel_fix_m, v_ned, heading_rad)
+        return self._of_vessel(stamp, place, _SIGMA_VESSEL_FIX_M, v_ned, heading_rad)
 
     def _follow_target(self, m: Message, received_at: MonoNs) -> list[Sample]:
         """Take the ship's place from a ground station or a beacon on board; its covariances count if they are larger."""
@@ -248,15 +254,15 @@ class MavlinkSampler:
             return []
         claimed_m = m.position_cov[0] if math.isfinite(m.position_cov[0]) else 0.0
         stamp = self._follow_clock.stamp(m.timestamp * 1_000_000, received_at)
-        return self._of_vessel(stamp, place, max(claimed_m, self._o.sigma_vessel_fix_m), v_ned, None)
+        return self._of_vessel(stamp, place, max(claimed_m, _SIGMA_VESSEL_FIX_M), v_ned, None)
 
     def _of_vessel(
         self, stamp: Stamp, place: GeoPoint | None, sigma_m: float, v_ned: F64 | None, heading_rad: float | None
     ) -> list[Sample]:
         out: list[Sample] = [] if place is None else [GeoFix(stamp, "vessel", place, sigma_m, v_ned)]
         if v_ned is not None or heading_rad is not None:
-            cov = None if v_ned is None else np.eye(3) * self._o.sigma_vessel_velocity_m_s**2
-            sigma_rad = None if heading_rad is None else self._o.sigma_vessel_heading_rad
+            cov = None if v_ned is None else np.eye(3) * _SIGMA_VESSEL_VELOCITY_M_S**2
+            sigma_rad = None if heading_rad is None else _SIGMA_VESSEL_HEADING_RAD
             out.append(VesselReport(stamp, v_ned, cov, heading_rad, sigma_rad))
         return out
 
@@ -317,7 +323,7 @@ class MavlinkSampler:
     def _status_samples(self, condition: Condition, received_at: MonoNs) -> list[Sample]:
         changed = condition != self.condition
         self.condition = condition
-        due = self._status_at is None or seconds_between(self._status_at, received_at) >= self._o.status_period_s
+        due = self._status_at is None or seconds_between(self._status_at, received_at) >= _STATUS_PERIOD_S
         return [self.status(received_at, link_ok=True)] if changed or due else []
 
     def _heartbeat(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -408,7 +414,7 @@ class MavlinkSampler:
         if p_body_ned is not None:
             self.positions.append(LocalPosition(stamp, p_body_ned, v_body_ned))
         attitude = self.attitude
-        if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > self._o.attitude_gap_s:
+        if attitude is None or abs(seconds_between(attitude.stamp.measured_at, stamp.measured_at)) > _ATTITUDE_GAP_S:
             return []
         yaw_rad = attitude.R_ned_body.rpy_rad[2]
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -419,7 +425,7 @@ class MavlinkSampler:
         place, v_ned = self._parts(m, lambda: _place(m, 1e-3 * m.alt), lambda: _cm_s(m))
         if place is None:
             return []
-        return [GeoFix(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), "vehicle", place, self._o.sigma_fix_m, v_ned)]
+        return [GeoFix(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), "vehicle", place, _SIGMA_FIX_M, v_ned)]
 
     def _raw_imu(self, m: Message, received_at: MonoNs) -> list[Sample]:
         if not self._stack.is_ardupilot:
@@ -456,7 +462,7 @@ class MavlinkSampler:
         if moved and made[0] is not None and self._takes("IMU", _sensor(m), received_at, 2.0):
             out.append(contract.known(Imu, self._inertial(stamp), *made[0]))
         if pressed and made[-1] is not None and self._takes("pressure", _sensor(m), received_at):
-            out.append(Baro(stamp, made[-1], self._o.sigma_baro_m))
+            out.append(Baro(stamp, made[-1], _SIGMA_BARO_M))
         return out
 
     def _distance(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -466,7 +472,7 @@ class MavlinkSampler:
         if not self.ranges or m.orientation != DOWN or not usable or not self._takes("range", _sensor(m), received_at):
             return []
         covariance = measured(m, "covariance")
-        sigma_m = self._o.sigma_range_m if covariance is None else 0.01 * math.sqrt(covariance)
+        sigma_m = _SIGMA_RANGE_M if covariance is None else 0.01 * math.sqrt(covariance)
         return [Range(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), 0.01 * m.current_distance, max(sigma_m, 0.005))]
 
     def _pressure(self, m: Message, received_at: MonoNs) -> list[Sample]:
@@ -475,7 +481,7 @@ class MavlinkSampler:
         height_m = _height_m(m.press_abs)
         if not self._takes("pressure", _sensor(m), received_at):
             return []
-        return [Baro(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), height_m, self._o.sigma_baro_m)]
+        return [Baro(self._clock.stamp(boot_ms(m.time_boot_ms), received_at), height_m, _SIGMA_BARO_M)]
 
 
 def _place_in_order(m: Message) -> tuple[int, bytes]:

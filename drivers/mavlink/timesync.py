@@ -12,9 +12,13 @@ from collections import deque
 from msgspec import Struct
 
 from drivers.mavlink.dialect import Message, TimeSyncV2
-from drivers.mavlink.options import TimeSyncOptions
 from estimator.contracts.time import NS_PER_S, MonoNs, seconds_between
 
+_PERIOD_S = 1.0  # interval between time requests
+_FIRST_PERIOD_S = 0.1  # the same until the offset of the clocks is known
+_WINDOW_S = 10.0  # time for which an answer is used
+_ROUND_TRIP_MAX_S = 0.25  # longest round trip of an answer that is used
+_DRIFT_PPM = 50.0  # largest drift between the two clocks
 _LOCKED_AFTER = 5  # answers that agree from which the clocks are compared
 _JUMPS_TO_BELIEVE = 3  # answers in a row that disagree from which the autopilot's clock was set
 _SLACK_S = 0.002  # disagreement that answers may have beside what delay and drift explain
@@ -29,8 +33,7 @@ class _Answer(Struct, frozen=True):
 class TimeSync:
     """Feed it TIMESYNC messages; it maps remote instants to our clock."""
 
-    def __init__(self, options: TimeSyncOptions | None = None) -> None:
-        self._o = options or TimeSyncOptions()
+    def __init__(self) -> None:
         self._answers: deque[_Answer] = deque(maxlen=256)
         self._best: _Answer | None = None
         """The answer that says most of the offset, since the newest one and until the next: all of them age alike."""
@@ -77,7 +80,7 @@ class TimeSync:
         """Return the request to send now, if one is due."""
         if now < self._next:
             return []
-        self._next = MonoNs(now + round((self._o.period_s if self.locked else self._o.first_period_s) * NS_PER_S))
+        self._next = MonoNs(now + round((_PERIOD_S if self.locked else _FIRST_PERIOD_S) * NS_PER_S))
         self._asked.append(now)
         return [TimeSyncV2(0, now, *target)]
 
@@ -88,7 +91,7 @@ class TimeSync:
             return
         self._asked.remove(message.ts1)
         round_trip_ns = received_at - message.ts1
-        if not 0 <= round_trip_ns <= self._o.round_trip_max_s * NS_PER_S or message.tc1 <= 0:
+        if not 0 <= round_trip_ns <= _ROUND_TRIP_MAX_S * NS_PER_S or message.tc1 <= 0:
             self.refused += 1
             return
         answer = _Answer(received_at, message.tc1 - (message.ts1 + received_at) // 2, round_trip_ns)
@@ -103,7 +106,7 @@ class TimeSync:
             self._answers.clear()
         self._odd = 0
         self._answers.append(answer)
-        while seconds_between(self._answers[0].received_at, received_at) > self._o.window_s:
+        while seconds_between(self._answers[0].received_at, received_at) > _WINDOW_S:
             self._answers.popleft()
         first, lasted_ns = self._answers[0], max(1, received_at - self._answers[0].received_at)
         proven_ns = abs(answer.offset_ns - first.offset_ns) - (answer.round_trip_ns + first.round_trip_ns) // 2
@@ -120,7 +123,7 @@ class TimeSync:
         return abs(answer.offset_ns - best.offset_ns) <= room_s * NS_PER_S
 
     def _uncertainty_s(self, answer: _Answer, now: MonoNs) -> float:
-        drift = max(1e-6 * self._o.drift_ppm, self._drift)
+        drift = max(1e-6 * _DRIFT_PPM, self._drift)
         return 0.5 * answer.round_trip_ns / NS_PER_S + drift * abs(seconds_between(answer.received_at, now))
 
 

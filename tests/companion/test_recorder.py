@@ -43,7 +43,7 @@ from estimator.contracts.estimates import COMPONENTS, Verdict
 from estimator.contracts.samples import Imu, Sample
 from estimator.contracts.time import MonoNs, Stamp
 from tests.fly import ObservedCalls, record_to, sim_settings
-from tests.make import frame, imu, processed_frame, same_bits
+from tests.make import frame, imu, processed_frame, same_bits, tuned
 from tests.support.waiting import wait_until
 
 CAMERA = camera_model(sim_settings())
@@ -338,7 +338,7 @@ def test_a_full_disk_is_reported_once_flown_through_and_left_behind(tmp_path, di
 
 @pytest.mark.hazard("H11")
 def test_a_disk_that_stands_still_costs_records_and_never_the_callers_time(tmp_path, disk, monkeypatch, caplog):
-    options = RecorderOptions(flush_s=0.05, queue_records=50, queue_frames=3)
+    options = tuned(RecorderOptions, flush_s=0.05, queue_records=50, queue_frames=3)
     with Recorder(SingleFile(tmp_path / "a.mcap"), CAMERA, ABOUT, options) as recorder:
         recorder.on_sample(numbered_imu(0.0))
         wait_until(lambda: recorder.written == 1)
@@ -490,7 +490,7 @@ def test_a_file_that_cannot_be_removed_does_not_end_the_recording(tmp_path: Path
 
 
 def test_a_disk_that_hangs_holds_up_the_end_of_the_service_for_a_moment_only(tmp_path: Path, disk: Disk) -> None:
-    recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, RecorderOptions(flush_s=0.05, queue_records=16), close_s=0.3)
+    recorder = Recorder(folder(tmp_path), CAMERA, ABOUT, tuned(RecorderOptions, flush_s=0.05, queue_records=16), close_s=0.3)
     with recorder:
         disk.moving.clear()
         recorder.on_sample(numbered_imu(0.0))

@@ -7,7 +7,6 @@ from msgspec import Struct, field
 from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     FoundSystem,
-    IdConflictSnapshot,
     LinkSnapshot,
     Snapshot,
     TimeSyncSnapshot,
@@ -70,10 +69,9 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
     """
     found = tuple(notes.systems[ids] for ids in sorted(notes.systems))
     links = tuple(link_snapshot(link) for link in autopilot.links.all)
-    id_conflicts = tuple(IdConflictSnapshot(one.name, one.what, one.fix, one.blocks) for one in autopilot.id_conflicts)
     identity, sync = autopilot.identity, autopilot.sync
     if identity is None or sync is None:
-        return Snapshot(seconds, links, wanted_system=wanted, systems=found, id_conflicts=id_conflicts)
+        return Snapshot(seconds, links, wanted_system=wanted, systems=found, id_conflicts=autopilot.id_conflicts)
     parameters, streams, condition = autopilot.parameters, autopilot.streams, autopilot.condition
     firmware = None if autopilot.version is None else autopilot.version.firmware
     values = {} if parameters is None else dict(sorted(parameters.values.items()))
@@ -102,7 +100,7 @@ def snapshot_of(autopilot: Autopilot, notes: Notes, rates: dict[str, float], wan
         TimeSyncSnapshot(sync.locked, sync.round_trip_s, sync.jumps, sync.jumped_s),
         wanted_system=wanted,
         systems=found,
-        id_conflicts=id_conflicts,
+        id_conflicts=autopilot.id_conflicts,
     )
 
 

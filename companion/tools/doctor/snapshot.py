@@ -10,6 +10,7 @@ from msgspec import Struct, field
 
 from companion.settings.remarks import Contradiction
 from drivers.log_history import LogHistory
+from drivers.mavlink.roster import IdConflict
 from estimator.contracts.errors import refused
 
 
@@ -43,16 +44,6 @@ class LinkSnapshot(Struct, frozen=True):
     """Number of our own messages that came back."""
     with_signature: int = 0
     """Number of messages that carry a signature."""
-
-
-class IdConflictSnapshot(Struct, frozen=True):
-    """Ambiguity about which component is the autopilot, or about our own id."""
-
-    name: str
-    what: str
-    fix: str
-    blocks: bool
-    """True if nothing is commanded meanwhile."""
 
 
 class TimeSyncSnapshot(Struct, frozen=True):
@@ -222,7 +213,7 @@ class Snapshot(Struct, frozen=True):
     """True if the pad is on something that moves."""
     gimbal: GimbalSnapshot | None = None
     """The camera's gimbal; None if the settings name none, or no link was examined."""
-    id_conflicts: tuple[IdConflictSnapshot, ...] = ()
+    id_conflicts: tuple[IdConflict, ...] = ()
 
 
 _File = TypeVar("_File", bound=Struct)

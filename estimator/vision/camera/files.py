@@ -26,8 +26,8 @@ _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "M1", "mt
 _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "d", "D1", "dist", "distortion_coeffs")
 
 
-def foreign_camera(text: str, path: str) -> dict[str, Any] | None:
-    """Return the keys of our own camera file for a text of one of these kinds, by its content; None for another text.
+def foreign_camera(text: str, path: str) -> dict[str, Any]:
+    """Return the keys of our own camera file for a text of one of these kinds.
 
     Raises:
         BadInput: a part is lacking, or it is of a lens that our model does not fit.
@@ -37,12 +37,10 @@ def foreign_camera(text: str, path: str) -> dict[str, Any] | None:
         raise BadInput(f"{path}: the INI form of ROS is not read: give the YAML file, which its calibrator writes beside it")
     if begin.startswith(("<", "{")):
         return _mapping(_stored(path, begin), path)
-    if path.lower().endswith((".yaml", ".yml")) or begin.startswith("%YAML"):
-        document = re.split(r"^---\s*$", begin, maxsplit=2, flags=re.MULTILINE)
-        # A message that was printed ends with this line, and the next one may follow.
-        text = next((part for part in document if part.strip() and not part.startswith("%YAML")), "")
-        return _mapping(_stored(path, "%YAML:1.0\n---\n" + re.sub(r"^- ", "  - ", text.lstrip("\r\n"), flags=re.MULTILINE)), path)
-    return None
+    document = re.split(r"^---\s*$", begin, maxsplit=2, flags=re.MULTILINE)
+    # A message that was printed ends with this line, and the next one may follow.
+    text = next((part for part in document if part.strip() and not part.startswith("%YAML")), "")
+    return _mapping(_stored(path, "%YAML:1.0\n---\n" + re.sub(r"^- ", "  - ", text.lstrip("\r\n"), flags=re.MULTILINE)), path)
 
 
 def _stored(path: str, text: str) -> dict[str, Any]:

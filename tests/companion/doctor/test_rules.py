@@ -16,7 +16,6 @@ from companion.tools.doctor.snapshot import (
     AutopilotSnapshot,
     FoundSystem,
     GimbalSnapshot,
-    IdConflictSnapshot,
     LinkSnapshot,
     ServiceSnapshot,
     ShipSource,
@@ -27,6 +26,7 @@ from companion.tools.doctor.snapshot import (
 )
 from drivers.mavlink.failsafe import event_id
 from drivers.mavlink.requests import RATES_HZ
+from drivers.mavlink.roster import IdConflict
 from drivers.mavlink.samples import SAMPLE_PARAMETERS
 from drivers.mavlink.vehicle import Stack
 from estimator.contracts.errors import BadInput
@@ -142,10 +142,10 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "no program listens there": ("link-refused", link(bytes_in=0, messages=0, refused_datagrams=30), "router"),
     "a line that stands still": ("link-late", link(late=300), "RTS/CTS"),
     "two autopilots of one id": ("autopilot-id-twice", replace(GOOD, id_conflicts=(
-        IdConflictSnapshot("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True), ), ),
+        IdConflict("autopilot-id-twice", "two autopilots have one id", "choose by vehicle.system_id", True), ), ),
         "vehicle.system_id"),
     "another program with our ids": ("component-id-twice", replace(
-        GOOD, id_conflicts=(IdConflictSnapshot("component-id-twice", "another sends as us", "vehicle.component_id", False),) ),
+        GOOD, id_conflicts=(IdConflict("component-id-twice", "another sends as us", "vehicle.component_id", False),) ),
         "vehicle.component_id"),
     "not signed in a network": ("link-unsigned", link(url="udpin://0.0.0.0:14550", signed=False), "decklander keys"),
     "a station that is not named": ("link-unknown-senders", link(unknown_senders=300), "vehicle.operators"),

@@ -20,6 +20,7 @@ from estimator.contracts.errors import Recoverable
 from estimator.contracts.samples import Attitude, BodyVelocity, Imu, Sample, VehicleStatus
 from estimator.contracts.time import seconds_between
 from sitl.emulators.autopilots.stand_in.base import EPOCH_NS, MiniatureAutopilot
+from tests.make import tuned
 from tests.support.clocks import PatientClock
 from tests.support.waiting import until
 
@@ -31,7 +32,7 @@ async def autopilot_of(
     fake: MiniatureAutopilot, parameters: tuple[str, ...] = (), *, waits: bool = False, **options: Any
 ) -> AsyncIterator[Autopilot]:
     quick = {"silence_s": 0.8, "command_period_s": 0.02, "restart_first_s": 0.02, "restart_most_s": 0.1}
-    given = AutopilotOptions(f"udpin://{HOST}:0", **(quick | options))
+    given = tuned(AutopilotOptions, links=f"udpin://{HOST}:0", **(quick | options))
     fake.clock = PatientClock()
     async with open_autopilot(given, fake.clock, parameters=parameters, waits=waits) as autopilot:
         await until(lambda: autopilot.links.all[0].local is not None)

@@ -18,7 +18,7 @@ from drivers.mavlink.gimbal import Gimbal
 from drivers.mavlink.gimbal_pointer import GimbalPointer, Step
 from drivers.mavlink.gimbal_reports import GimbalSampler
 from drivers.mavlink.links import ReceivedMessage
-from drivers.mavlink.options import GimbalOptions, GimbalReport, TimeSyncOptions
+from drivers.mavlink.options import GimbalOptions, GimbalReport
 from drivers.mavlink.timesync import TimeSync
 from drivers.mavlink.vehicle import Identity, Stack
 from estimator.contracts.geometry import Rotation
@@ -103,7 +103,7 @@ def test_the_older_message_counts_only_while_the_newer_one_does_not_come() -> No
 
 def test_a_report_that_was_overtaken_is_refused_and_the_latency_is_taken_off() -> None:
     sampler = GimbalSampler(GimbalOptions(154, latency_s=0.1, latency_sigma_s=0.03))
-    clock = BootClock(TimeSync(TimeSyncOptions()))
+    clock = BootClock(TimeSync())
     first = sampler.sample(gimbal_status(ms=1000), NOW, clock)
     assert 0.1 <= (NOW - first.stamp.measured_at) * 1e-9 < 0.11
     assert first.stamp.sigma_s >= 0.03
@@ -131,7 +131,7 @@ TOLD = (
 @settings(max_examples=150, deadline=None)
 def test_no_message_raises_and_each_of_the_chosen_kind_is_a_sample_or_counted(told, report, own):
     sampler, instant, given_out = GimbalSampler(GimbalOptions(1, report=report)), int(NOW), []
-    boot = BootClock(TimeSync(TimeSyncOptions())) if own else None
+    boot = BootClock(TimeSync()) if own else None
     for message, later in told:
         instant += later
         sample = sampler.sample(message, MonoNs(instant), boot)
@@ -197,7 +197,7 @@ def autopilot(*, settled: bool = True) -> Any:
         streams=SimpleNamespace(settled=settled),
         connected=True,
         connects=1,
-        boot_clock=BootClock(TimeSync(TimeSyncOptions())),
+        boot_clock=BootClock(TimeSync()),
         links=SimpleNamespace(identity=(1, 191)),
     )
 

@@ -32,6 +32,7 @@ from estimator.contracts.commands import Command, CutMotors, Hover, Land, Landin
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved
 from estimator.contracts.samples import Attitude
 from estimator.contracts.time import MonoNs, Stamp
+from tests.make import tuned
 
 GO = Velocity(np.array([0.5, -0.25, 0.125]), 0.3)
 
@@ -46,7 +47,7 @@ class Flight:
     def __init__(
         self, stack: Stack = Stack.ARDUPILOT, mode: str = "loiter", authority: Authority = Authority.SETPOINTS, **options: object
     ) -> None:
-        all_options = AutopilotOptions("udpin://127.0.0.1:0", **options)  # type: ignore[arg-type]
+        all_options = tuned(AutopilotOptions, links="udpin://127.0.0.1:0", **options)
         self.streamer = SetpointStreamer(Identity(7, 1, stack, 2), all_options, authority)
         self.now = ms(0)
         self.mode = mode
