@@ -19,7 +19,7 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
         "drivers/vehicle.py", "drivers/wires.py", "estimator/",
     ),
     "AR.Drone": (
-        "companion/parts/ardrone/", "companion/parts/mavlink/bridge.py", "drivers/ardrone/", "estimator/core/video/",
+        "companion/parts/ardrone/", "companion/parts/mavlink/bridge/", "drivers/ardrone/", "estimator/core/video/",
         "estimator/uvlc.py", "sitl/ardrone/", "sitl/core/video/", "sitl/emulators/ardrone/",
     ),
     "ship's wires": ("companion/parts/ship/", "drivers/nmea/", "drivers/relpos.py"),

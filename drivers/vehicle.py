@@ -36,6 +36,28 @@ class Barred(Struct, frozen=True):
     """The rest of a sentence that begins with the key."""
 
 
+class AnsweringVehicle(Struct, frozen=True):
+    """A vehicle whose address and camera are known, which `decklander start` looks for and writes settings of."""
+
+    word: str
+    """Its name at the command line."""
+    words: str
+    """It in words, for a person who chooses."""
+    kind: str
+    """The word of `vehicle.kind`."""
+    host: str
+    camera_file: str
+    answers: Callable[[str], bool]
+    """True for a host at which it answers."""
+    missing: str
+    """The step that comes first where it does not answer at `{host}`."""
+    settings: tuple[str, ...] = ()
+    """The further lines of its table [vehicle]."""
+    searched: bool = False
+    """True if it is looked for where nobody names a vehicle."""
+    simulated: bool = False
+
+
 class VehicleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     """The facts of any kind of vehicle."""
 
@@ -109,6 +131,15 @@ class VehicleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
     def mode_is_order(self) -> bool:
         """True if a mode that a person chooses is an order to go on."""
         return False
+
+    @property
+    def generation(self) -> str:
+        """The generation of its protocol, where there are several that the simulator has; else empty."""
+        return ""
+
+    def simulated(self, generation: str, tilt_max_deg: float) -> "VehicleOptions":
+        """Return the options with what a simulated vehicle of its kind is: its generation, and the tilt that its loops reach."""
+        return self
 
     def modes_left(self, mode: str) -> tuple[str, ...]:
         """Return the modes of a vehicle that nobody has taken since it was in a mode; none where modes do not say."""

@@ -18,7 +18,7 @@ from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
 from estimator import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
-from sitl.flight.flight import Flight
+from sitl.flight.stepped import new_flight
 from sitl.scenario.scenario import load as load_scenario
 from sitl.world.truth import Truth
 
@@ -72,7 +72,7 @@ def main() -> None:
     if there := [name for name in ("pad.jpg", "attitude.csv", "landing.csv") if (folder / name).exists()]:
         parser.error(f"--out {folder}: there is {there[0]} already: name another folder")
     settings, tape = load("sim"), Tape()
-    flight = Flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[tape])
+    flight = new_flight(load_scenario("demo"), 1, settings, make_pilot(settings), observers=[tape])
     tape.start = flight.world.started
     while tape.seconds(flight.world.at) < CSV_FROM_S + CSV_FOR_S and flight.step():
         if round(tape.seconds(flight.world.at) * 1000) % 200 == 0:

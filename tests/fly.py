@@ -29,8 +29,8 @@ from companion.settings.model import CameraSettings, PadSettings
 from estimator.contracts.estimates import FusionResult, PathName
 from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
+from sitl.ardrone.flight import Flight
 from sitl.flight.ending import Ending
-from sitl.flight.flight import Flight
 from sitl.flight.one_flight import FlyOptions, fly, settings_for
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level

@@ -15,7 +15,6 @@ from companion.cli.options import WorkProgress, option
 from companion.guidance.pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
 from companion.service.sole_service import sole_service
-from companion.settings.links import BridgeOptions
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
 from companion.settings.part_table import PartTable
 from companion.settings.referenced_files import check_files, check_installed
@@ -74,7 +73,7 @@ def _run(args: argparse.Namespace, settings: Settings, file: Path, proven: Prove
         frames = "frames come from the vehicle" if camera.source == "vehicle" else f"frames from {camera.source} {camera.device}"
         unchecked = check_files(settings)
         sys.stdout.write(
-            f"vehicle: {settings.vehicle.in_words}{_bridge(settings.bridge)}\n"
+            f"vehicle: {settings.vehicle.in_words}\n"
             f"camera: {camera.file}, {c.width}x{c.height} px, {frames}\n"
             f"pad: {settings.pad.file}\n"
             f"colours: {vision.colours}\n"
@@ -131,22 +130,6 @@ def _starts(settings: Settings) -> list[str]:
         with_failsafe = ", with a failsafe in force too" if handover.failsafe else ""
         ways.append(f"by itself after the autopilot's own {handover.after}{with_failsafe}")
     return ways
-
-
-def _bridge(bridge: BridgeOptions) -> str:
-    if not bridge.links:
-        return ""
-    who = (
-        f"system {bridge.operators}"
-        if bridge.operators
-        else "whoever signs"
-        if bridge.signing_key_file
-        else "nobody (bridge.operators)"
-    )
-    return (
-        f"; shown to ground stations as system {bridge.system_id} over {bridge.links} ({bridge.unsigned or 'signed'}), "
-        f"commands from {who}"
-    )
 
 
 def _of_capabilities(settings: Settings) -> str:

@@ -9,7 +9,6 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from msgspec import Struct
@@ -21,11 +20,10 @@ from companion.cli.options import listening, named_wait, option
 from companion.cli.outputs import SETTINGS, output
 from companion.parts.page.access import make_token
 from companion.parts.page.link import certify, network_address, qr_code
+from companion.settings.capabilities import answering_vehicles
 from companion.settings.load import find_file, pad_of_file, write_whole
 from companion.settings.operator import SwitchOptions
 from companion.tools.doctor.gather import seen_moving, wait_until
-from drivers.ardrone.navdata import Navdata, decode
-from drivers.ardrone.navdata_channel import OPENING
 from drivers.camera.camera_process import libcamera_models
 from drivers.camera.v4l2 import cameras
 from drivers.clock import SystemClock
@@ -36,24 +34,20 @@ from drivers.mavlink.options import AutopilotOptions
 from drivers.mavlink.rc_channels import POSITIONS
 from estimator.contracts.errors import BadInput, file_errors, refused
 
+ANSWERING = {one.word: one for one in answering_vehicles()}
+"""The vehicles whose address and camera are known."""
 VEHICLES = {
-    "sim": "the simulated AR.Drone of this machine (python -m sitl.emulators.ardrone.serve demo)",
-    "ardrone1": "an AR.Drone 1.0, over its Wi-Fi",
-    "ardrone2": "an AR.Drone 2.0, over its Wi-Fi",
+    **{word: one.words for word, one in ANSWERING.items()},
     "ardupilot": "a copter with ArduPilot",
     "px4": "a copter with PX4",
 }
+_CAMERAS = {word: one.camera_file for word, one in ANSWERING.items()}
+_USUAL_VEHICLE = next((word for word, one in ANSWERING.items() if one.searched), "ardupilot")
+"""The vehicle where none is named and none answers."""
 USUAL_PAD = "thesis"
 """The pad of the examples: an A4 printer prints it in parts."""
 PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "ship": "daylight, a pad on a ship"}
-_ARDRONE = ("192.168.1.1", 5554)
-"""An AR.Drone's address in its own network, and its port of navdata."""
-_OWN_LINK = {"sim": "127.0.0.1", "ardrone1": _ARDRONE[0], "ardrone2": _ARDRONE[0]}
-"""Addresses of the vehicles whose address and camera are known."""
-_OWN_CAMERA = {"sim": "sim", "ardrone1": "ardrone1_bottom", "ardrone2": "ardrone2_bottom"}
-"""Camera files of the same vehicles."""
 _USUAL_LINK, _USUAL_CAMERA = "serial:///dev/ttyAMA0:921600", "usb_640x480"
-_NAVDATA_S = 1.5  # time in which an AR.Drone that is in reach answers
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
 _FLIP_S = 20.0  # time that an operator has to flip the switch
@@ -72,7 +66,7 @@ class Answers(Struct, frozen=True):
 
     vehicle: str
     link: str
-    """MAVLink link of an autopilot; address of an AR.Drone."""
+    """MAVLink link of an autopilot; address of a vehicle of its own protocol."""
     camera: str
     """V4L2 device, "libcamera:" and the name of a Raspberry Pi's camera, a stream's address, or "vehicle"."""
     camera_file: str
@@ -127,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.no_doctor:
         doctor.add_arguments(examined)
         code = doctor.run(examined.parse_args(["--config", str(args.out)]), last=False)
-        there = answers.vehicle not in _OWN_LINK or _sends_navdata(answers.link)
+        there = answers.vehicle not in ANSWERING or ANSWERING[answers.vehicle].answers(answers.link)
     _next_steps(answers, args.out, sound=code == 0, there=there)
     return code
 
@@ -135,11 +129,11 @@ def run(args: argparse.Namespace) -> int:
 def _answers(args: argparse.Namespace) -> Answers:
     ask = (lambda _what, _among, usual: usual) if args.yes else _ask
     vehicle, link, answered = _vehicle(args, ask)
-    flies_itself = vehicle in _OWN_LINK
+    flies_itself = vehicle in ANSWERING
     device = "vehicle" if flies_itself else args.camera or _camera(ask)
     if device.count(".") == 3 and not device.strip("0123456789.:"):
         raise BadInput(f"--camera {device} is no camera: a stream has an address as rtsp://{device}/PATH")
-    camera_file = args.camera_file or _OWN_CAMERA.get(vehicle, _USUAL_CAMERA)
+    camera_file = args.camera_file or _CAMERAS.get(vehicle, _USUAL_CAMERA)
     find_file(camera_file, "cameras", args.out.parent, "--camera-file")
     pad = args.pad or USUAL_PAD
     pad_of_file(find_file(pad, "pads", args.out.parent, "--pad"))
@@ -154,16 +148,17 @@ def _answers(args: argparse.Namespace) -> Answers:
 
 def _vehicle(args: argparse.Namespace, ask: Ask) -> tuple[str, str, bool]:
     """Return the vehicle, its link or address, and whether a vehicle answers."""
-    received = [] if args.link or args.vehicle in _OWN_LINK else found_vehicles()
-    vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else "ardrone2")
-    if args.link and vehicle not in _OWN_LINK:
+    received = [] if args.link or args.vehicle in ANSWERING else found_vehicles()
+    vehicle = args.vehicle or ask("vehicle", VEHICLES, received[0].name if received else _USUAL_VEHICLE)
+    if args.link and vehicle not in ANSWERING:
         with refused(f"--link {args.link}", ValueError):
             options = AutopilotOptions(args.link)
         there = "" if args.no_doctor else _STACKS.get(event_loop.run(_stack_at(options)), "")
         if there and there != vehicle:
             sys.stdout.write(f"at {args.link} is {VEHICLES[there]}, not {VEHICLES[vehicle]}: docs/{there}.md is its page\n")
             vehicle = there
-    link = args.link or next((one.link for one in received if one.name == vehicle), _OWN_LINK.get(vehicle, ""))
+    usual = ANSWERING[vehicle].host if vehicle in ANSWERING else ""
+    link = args.link or next((one.link for one in received if one.name == vehicle), usual)
     if not link:
         link = _USUAL_LINK
         sys.stdout.write(f"no autopilot answers: the file names {link}; --link names another\n")
@@ -232,23 +227,13 @@ class FoundVehicle(Struct, frozen=True):
 
 
 def found_vehicles(seconds: float = 1.5) -> list[FoundVehicle]:
-    """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an AR.Drone's address."""
+    """Return the vehicles that send a HEARTBEAT to the usual ports, or answer at an address that is known."""
     with named_wait("looking for vehicles"):
         found = [*_vehicles_on_udp(seconds), *_vehicles_on_serial(seconds)]
-        found += [FoundVehicle("ardrone2", _ARDRONE[0])] if _sends_navdata(_ARDRONE[0]) else []
+        found += [FoundVehicle(one.word, one.host) for one in ANSWERING.values() if one.searched and one.answers(one.host)]
     for one in found:
         sys.stdout.write(f"found: {VEHICLES[one.name]} at {one.link}\n")
     return found
-
-
-def _sends_navdata(host: str) -> bool:
-    """Return whether a datagram of navdata comes from an AR.Drone's address: routers have it too, and answer on any port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.settimeout(_NAVDATA_S)
-        probe.connect((host, _ARDRONE[1]))
-        probe.send(OPENING)
-        return isinstance(decode(probe.recv(4096)), Navdata)
-    return False
 
 
 def _vehicles_on_udp(seconds: float) -> Iterator[FoundVehicle]:
@@ -304,13 +289,13 @@ def _page_addresses() -> dict[str, str]:
 
 def settings_text(answers: Answers, out: Path) -> str:
     """Return the settings file, at most 40 lines, with a comment where a person has to look."""
-    autopilot = answers.vehicle in ("ardupilot", "px4")
+    own = ANSWERING.get(answers.vehicle)
+    autopilot = own is None
     sections = [["# Written by decklander start. Every key: docs/configuration.md, or decklander config show FILE."]]
-    if autopilot:
+    if own is None:
         sections.append(["[vehicle]", 'kind = "mavlink"', f'links = "{answers.link}"    # UART or UDP port of the autopilot'])
     else:
-        model = ['model = "1.0"'] if answers.vehicle == "ardrone1" else []
-        sections.append(["[vehicle]", 'kind = "ardrone"', f'host = "{answers.link}"', *model])
+        sections.append(["[vehicle]", f'kind = "{own.kind}"', f'host = "{answers.link}"', *own.settings])
     camera = ["[camera]", f'file = "{answers.camera_file}"    # measure yours: decklander calibrate camera']
     kind, _, name = answers.camera.partition(":")
     if kind == "libcamera":
@@ -324,7 +309,7 @@ def settings_text(answers: Answers, out: Path) -> str:
             camera += ['controls = "auto_exposure=1, exposure_time_absolute=50"    # short: motion blurs', "exposure_s = 0.005"]
     sections.append(camera)
     sections.append(["[pad]", f'file = "{answers.pad}"    # print it: decklander pad print {answers.pad} --out pad.pdf'])
-    colours = "simulator" if answers.vehicle == "sim" else "indoor" if answers.place == "indoors" else "outdoor"
+    colours = "simulator" if own is not None and own.simulated else "indoor" if answers.place == "indoors" else "outdoor"
     sections.append(["[vision]", f'colours = "{colours}"'])
     sections.append(["[guidance]", 'start = "signal"    # wait for an order: decklander fly begin, or the page'])
     if autopilot:
@@ -372,12 +357,11 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> Non
     command, file = "decklander" if shutil.which("decklander") else sys.argv[0], shlex.quote(str(out))
     word, token_file = _secret("token", out)
     start = "systemctl start decklander" if word.startswith("credential:") else f"{command} run --config {file}"
-    autopilot = answers.vehicle in ("ardupilot", "px4")
+    own = ANSWERING.get(answers.vehicle)
+    autopilot = own is None
     say("\n")
-    if not there:
-        join = f"join the AR.Drone's Wi-Fi: no navdata comes from {answers.link}"
-        simulated = f"start the simulated drone: {shlex.quote(sys.executable)} -m sitl.emulators.ardrone.serve demo"
-        say(f"first:              {simulated if answers.vehicle == 'sim' else join}\n")
+    if own is not None and not there:
+        say(f"first:              {own.missing.replace('{host}', answers.link)}\n")
     elif not sound:
         fix = f" ({command} doctor --config {file} --fix sets parameters)" if autopilot else ""
         say(f"first:              mend what is named above{fix}\n")

@@ -28,7 +28,6 @@ PARTS = (
         lambda s: s.recorder.enabled or s.vehicle.orders_recordings or any(table.orders_recordings for table in s.part_tables()),
     ),
     ServicePart("companion.parts.video.part:join", lambda s: s.video_stream.to),
-    ServicePart("companion.parts.mavlink.bridge:join", lambda s: s.bridge.links),
     ServicePart("companion.service.vehicle_parts:join"),
     ServicePart("companion.service.flight_keeper:join"),
     ServicePart("companion.parts.operator.local_socket:join"),

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the command line's help needs the table and no settings
 
     from companion.settings.part_table import PartTable
     from drivers.importer import Importer
-    from drivers.vehicle import VehicleOptions
+    from drivers.vehicle import AnsweringVehicle, VehicleOptions
 
 VEHICLE_GROUP = "decklander.vehicles"
 IMPORTER_GROUP = "decklander.importers"
@@ -43,6 +43,10 @@ class VehicleKind(NamedTuple):
     """The table [vehicle]: a subclass of `VehicleOptions`."""
     parts: str
     """The function that makes its part of the service: a `companion.cycle.ports.MakeVehicle`."""
+    flight: str = ""
+    """The simulated flight of a vehicle with frames of its own (`sitl.flight.stepped.SteppedFlight`); empty for others."""
+    answering: str = ""
+    """Its vehicles whose address and camera are known, a tuple of `drivers.vehicle.AnsweringVehicle`; empty for none."""
 
 
 class Command(NamedTuple):
@@ -115,7 +119,18 @@ CAPABILITIES = (
         "the AR.Drone",
         "ardrone",
         "drivers.ardrone",
-        vehicles={"ardrone": VehicleKind("drivers.ardrone.options:ArDroneOptions", "companion.parts.ardrone.make:make_vehicle")},
+        keys=("bridge.links",),
+        join="companion.parts.mavlink.bridge.part:join",
+        references="companion.parts.mavlink.bridge.options:references",
+        tables={"bridge": "companion.parts.mavlink.bridge.options:BridgeOptions"},
+        vehicles={
+            "ardrone": VehicleKind(
+                "drivers.ardrone.options:ArDroneOptions",
+                "companion.parts.ardrone.make:make_vehicle",
+                flight="sitl.ardrone.flight:Flight",
+                answering="companion.parts.ardrone.answering:VEHICLES",
+            )
+        },
         importers={"NAVDATA": "drivers.ardrone.capture:import_navdata", "PAVE": "drivers.ardrone.capture:import_video"},
     ),
     Capability(
@@ -283,9 +298,19 @@ def require_key(key: str, wanted: str) -> None:
             capability.require(wanted)
 
 
+def installed_vehicles() -> Iterator[VehicleKind]:
+    """Yield the kinds that are installed."""
+    yield from (kind for kind in VEHICLES.values() if is_installed(kind.options.partition(":")[0]))
+
+
 def vehicle_tables() -> tuple[type[VehicleOptions], ...]:
     """Return the tables [vehicle] of the kinds that are installed."""
-    return tuple(imported(kind.options) for kind in VEHICLES.values() if is_installed(kind.options.partition(":")[0]))
+    return tuple(imported(kind.options) for kind in installed_vehicles())
+
+
+def answering_vehicles() -> tuple[AnsweringVehicle, ...]:
+    """Return the vehicles of the kinds that are installed whose address and camera are known."""
+    return tuple(one for kind in installed_vehicles() if kind.answering for one in imported(kind.answering))
 
 
 def vehicle_kind(word: str) -> VehicleKind:

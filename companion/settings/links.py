@@ -1,11 +1,10 @@
-"""The settings of the service's links: the tables [http], [video_stream], [landing_target] and [bridge]."""
+"""The settings of the service's links: the tables [http], [video_stream] and [landing_target]."""
 
 import ipaddress
 from typing import Annotated, ClassVar, Literal
 
 from msgspec import Struct
 
-from drivers.mavlink.options import MavlinkOptions
 from estimator.contracts.keys import CheckedOptions, choice, number, text, tuning
 
 
@@ -147,13 +146,3 @@ class OutputOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         float,
         tuning("reading of a rangefinder while the vehicle is on the ground; ArduPilot does not arm without it", "m", 0.02, 2.0),
     ] = 0.1
-
-
-class BridgeOptions(MavlinkOptions, frozen=True, forbid_unknown_fields=True):
-    """An AR.Drone as a MAVLink quadrotor for ground stations, which can watch it, arm it, take off, hold and land.
-
-    Raises:
-        ValueError: as for `MavlinkOptions`.
-    """
-
-    system_id: Annotated[int, number("system id under which the drone appears", "id", 1, 255, public=True)] = 1

@@ -19,7 +19,7 @@ from msgspec import Meta, Struct, defstruct
 
 from companion.settings.capabilities import extended_tables, part_tables, refuse_missing, vehicle_tables
 from companion.settings.guidance import GuidanceOptions
-from companion.settings.links import BridgeOptions, HttpSettings, OutputOptions, VideoStreamOptions
+from companion.settings.links import HttpSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
 from companion.settings.part_table import PartTable
 from companion.settings.service import RecorderOptions
@@ -91,7 +91,6 @@ class CommonSettings(Struct, frozen=True, forbid_unknown_fields=True):
     http: HttpSettings = HttpSettings()
     video_stream: VideoStreamOptions = VideoStreamOptions()
     landing_target: OutputOptions = OutputOptions()
-    bridge: BridgeOptions = BridgeOptions()
     operator: OperatorOptions = OperatorOptions()
     limits: LimitOptions = LimitOptions()
     vessel: VesselOptions = VesselOptions()

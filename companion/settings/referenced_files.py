@@ -83,10 +83,9 @@ def _require_stream(device: str) -> None:
 
 def _references(settings: Settings) -> Iterator[Reference]:
     """Yield (settings key, file references, function that reads the files) for everything that is switched on."""
-    for section, table in (("vehicle", autopilot_of(settings.vehicle)), ("bridge", settings.bridge)):
-        if table is not None and table.links and table.signing_key_file:
-            what = f"{section}.signing_key_file"
-            yield what, (table.signing_key_file,), partial(files.signing_key, table.signing_key_file, what)
+    autopilot, what = autopilot_of(settings.vehicle), "vehicle.signing_key_file"
+    if autopilot is not None and autopilot.links and autopilot.signing_key_file:
+        yield what, (autopilot.signing_key_file,), partial(files.signing_key, autopilot.signing_key_file, what)
     if settings.camera.source == "stream":
         device = settings.camera.device
         yield "camera.device", (device,), lambda: _require_stream(device)

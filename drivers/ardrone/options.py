@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, ClassVar, Literal
 
+from msgspec import structs
+
 from drivers.ardrone.at import CTRL_ACK, AtCommand, Config, ConfigIds, Ctrl
 from drivers.vehicle import Barred, Claim, VehicleOptions, host_and_port
 from estimator.contracts.errors import BadInput
@@ -243,6 +245,14 @@ class ArDroneOptions(VehicleOptions, frozen=True, forbid_unknown_fields=True, ta
                 )
             wanted[name] = value
         return wanted
+
+    @property
+    def generation(self) -> str:
+        return self.model
+
+    def simulated(self, generation: str, tilt_max_deg: float) -> "ArDroneOptions":
+        tilt_deg = max(ArDroneOptions().euler_angle_max_deg, tilt_max_deg)
+        return structs.replace(self, model=generation, euler_angle_max_deg=tilt_deg)
 
     def timeouts(self, seconds: int) -> list[AtCommand]:
         """Commands that set `com_watchdog_s` alone, without waiting for the acknowledge bit: no service may be there to wait."""

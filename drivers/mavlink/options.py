@@ -189,7 +189,6 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
         }
     )
     barred = (
-        Barred("bridge.links", bool, "must be empty: an autopilot speaks MAVLink itself"),
         Barred(
             "guidance.start",
             lambda start: start == "automatic",

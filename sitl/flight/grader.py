@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 
 from msgspec.structs import replace
 
@@ -12,12 +11,11 @@ from companion.base.observer import Decision
 from companion.base.orders import HandledOrder, OperatorOrder, StickPositions
 from companion.guidance.operator.precedence import ControlSituation
 from companion.settings.model import Settings
-from drivers.ardrone.at import AtCommand
 from estimator.contracts.estimates import IntegrityAlert, Verdict
-from estimator.contracts.time import MonoNs, seconds_between
+from estimator.contracts.time import seconds_between
 from sitl.faults.kinds import Bystander, ObjectOnPad
 from sitl.flight.ending import AtEnd, Ending, FlightGrade, Grade, grade, on_pad_m, outside_commit
-from sitl.flight.hands import Decides, of_at
+from sitl.flight.hands import Decides
 from sitl.flight.limits import Errand
 from sitl.flight.referee import Referee
 from sitl.scenario.scenario import Scenario, pad_model, ship_model, vehicle_model
@@ -141,11 +139,6 @@ class FlightGrader:
             for thing, _ in self.world.faults.on(ObjectOnPad):
                 if words := thing.touched(x, y, contact.surface):
                     self.referee.hit(words)
-
-    def on_sent(self, commands: Sequence[AtCommand], now: MonoNs) -> None:
-        """Note a datagram that was sent to an AR.Drone."""
-        if (wire := of_at(commands, now)) is not None:
-            self.referee.hands.sent(wire)
 
     def on_act(self, handled: HandledOrder, sticks: StickPositions, late_s: float = 0.0) -> None:
         """Note an order of a person and its answer; one that was refused with a reason commands nothing, but EMERGENCY does."""

@@ -1,11 +1,9 @@
 """Compare what a person ordered with what was sent to the vehicle: the instant of each act against the packets after it."""
 
-from collections.abc import Iterable
 from enum import Enum, StrEnum
 from typing import NamedTuple
 
 from companion.base.orders import CENTRED, StickPositions
-from drivers.ardrone.at import PCMD_PROGRESSIVE, AtCommand, Pcmd, Ref
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.vehicle.vehicle import MOTORS_TURN
 from sitl.world.truth import Truth
@@ -59,7 +57,7 @@ class Asks(Enum):
 
     HOVER = "hover"
     CENTRED = "sticks in the middle"
-    """An AR.Drone's sticks alone: in flight a hover, and a landing goes on."""
+    """Sticks alone, as of an AR.Drone: in flight a hover, and a landing goes on."""
     MOVE = "move"
     LAND = "land"
     STOP = "stop the motors"
@@ -73,21 +71,6 @@ class SentPacket(NamedTuple):
 
     at: MonoNs
     asks: Asks
-
-
-def of_at(commands: Iterable[AtCommand], at: MonoNs) -> SentPacket | None:
-    """Return what a datagram of AT commands asks; None where it steers nothing."""
-    words = [command for command in commands if isinstance(command, Ref)]
-    sticks = [command for command in commands if isinstance(command, Pcmd)]
-    if any(word.emergency for word in words):
-        return SentPacket(at, Asks.STOP)
-    if words and not words[-1].take_off:
-        return SentPacket(at, Asks.LAND)
-    if not sticks:
-        return None
-    if sticks[-1].flags & PCMD_PROGRESSIVE:
-        return SentPacket(at, Asks.MOVE)
-    return SentPacket(at, Asks.HOVER if words else Asks.CENTRED)
 
 
 class HandsWatch:

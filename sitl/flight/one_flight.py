@@ -17,14 +17,13 @@ from companion.guidance.pilot import Pilot
 from companion.settings.load import load
 from companion.settings.model import CameraSettings, PadSettings, Settings
 from companion.settings.vessel import VesselOptions
-from drivers.ardrone.options import ArDroneOptions, ardrone_options
 from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
 from sitl.flight.afterwards import cpu_s
 from sitl.flight.ending import Ending
-from sitl.flight.flight import Flight, Timing
+from sitl.flight.stepped import Timing, new_flight
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import Scenario, vehicle_model
@@ -85,11 +84,9 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     """
     rendezvous = msgspec.structs.replace(settings.guidance.rendezvous, enabled=scenario.vessel.reports_place)
     vehicle = vehicle_model(scenario)
-    follow, driver = settings.guidance.follow_deck, ardrone_options(settings.vehicle)
+    follow = settings.guidance.follow_deck
     if not by_autopilot:
         follow = msgspec.structs.replace(follow, response=vehicle.response)
-    tilt_deg = max(ArDroneOptions().euler_angle_max_deg, vehicle.loops.tilt_max_deg)
-    driver = msgspec.structs.replace(driver, model=scenario.vehicle.generation, euler_angle_max_deg=tilt_deg)
     feet = vehicle.feet
     cone = msgspec.structs.replace(settings.guidance.cone, feet_below_m=feet.below_m, feet_aside_m=feet.half_base_m)
     gimbal = GimbalOptions(scenario.gimbal.device_id, point_down=scenario.gimbal.given)
@@ -97,7 +94,7 @@ def following(scenario: Scenario, settings: Settings, *, by_autopilot: bool = Fa
     ekf = structs.replace(settings.estimator.ekf, pad_yaw_in_vessel_rad=yaw_rad)
     return msgspec.structs.replace(
         settings,
-        vehicle=driver,
+        vehicle=settings.vehicle.simulated(scenario.vehicle.generation, vehicle.loops.tilt_max_deg),
         camera=CameraSettings(scenario.camera.file, gimbal=gimbal),
         pad=PadSettings(scenario.pad.file),
         vessel=_placed(scenario, settings.vessel),
@@ -164,7 +161,7 @@ def fly(
     renew = partial(seen_by.pilot, settings, options.shadows)
     timing = Timing(overtime_s=options.overtime_s)
     began_s, pilot = cpu_s(), renew()
-    flight = Flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
+    flight = new_flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
     flight.contained = True
     if options.on_start is None:
         flight.unwatched()

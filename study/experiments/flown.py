@@ -14,7 +14,7 @@ from estimator.contracts.estimates import PathName
 from estimator.contracts.geometry import F64
 from estimator.contracts.time import MonoNs, seconds_between
 from sitl.flight.ending import Ending
-from sitl.flight.flight import Flight, Timing
+from sitl.flight.stepped import Timing, new_flight
 from sitl.scenario.scenario import Scenario, load
 from sitl.world.truth import Truth
 from study.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
@@ -156,7 +156,7 @@ def _flown(
 ) -> ExperimentFlight:
     flown = ExperimentFlight()
     notes = _Notes(flown, after_s, settings.estimator.min_confidence)
-    flight = Flight(scenario, seed, settings, pilot, observers=[notes], timing=Timing(frame_period_s=frame_period_s))
+    flight = new_flight(scenario, seed, settings, pilot, observers=[notes], timing=Timing(frame_period_s=frame_period_s))
     notes.started, notes.now = flight.world.started, flight.world.truth
     if isinstance(pilot, HandPilot):
         pilot.truth = flight.world.truth

@@ -20,7 +20,8 @@ from drivers.reconnect import BackOff
 from estimator.contracts.commands import Command
 from estimator.contracts.samples import Frame, Sample
 from estimator.contracts.time import MonoNs
-from sitl.flight.flight import Flight, Timing
+from sitl.ardrone.flight import Flight
+from sitl.flight.stepped import Timing
 from sitl.scenario.scenario import Scenario, load
 from tests.companion.virtual_flight import VirtualClock, settled
 from tests.fly import ObservedCalls, near, sim_settings

@@ -19,7 +19,8 @@ from companion.base.orders import HandledOrder, OperatorOrder, OrderSender, Orde
 from companion.base.watchdog import Pulse
 from companion.parts.live.options import LiveHttp
 from companion.parts.live.part import LiveFeed
-from companion.parts.mavlink.bridge import BridgePart
+from companion.parts.mavlink.bridge.options import BridgeOptions
+from companion.parts.mavlink.bridge.part import BridgePart
 from companion.parts.mqtt.options import MqttSettings
 from companion.parts.mqtt.part import MqttPart
 from companion.parts.page.endpoint import PageEndpoint
@@ -258,7 +259,7 @@ def settings_with_everything(folder: Path) -> Settings:
             sim.of(MqttSettings), transport="tcp", host="127.0.0.1", port=1, spool=str(folder / "spool")
         ),
         http=LiveHttp(endpoint="http", port=0, token_file=str(token), foxglove=True),
-        bridge=msgspec.structs.replace(sim.bridge, links="udpin://127.0.0.1:0"),
+        bridge=msgspec.structs.replace(sim.of(BridgeOptions), links="udpin://127.0.0.1:0"),
     )
 
 

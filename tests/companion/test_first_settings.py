@@ -16,11 +16,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from companion.cli import kept_flight, start
 from companion.cli.commands import COMMANDS
 from companion.cli.main import main, pointed
 from companion.cli.options import WorkProgress
+from companion.parts.ardrone import answering
 from companion.parts.page.link import qr_code
 from companion.settings.load import load
 from drivers.ardrone import navdata
@@ -79,7 +81,8 @@ def copter(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         port = free.getsockname()[1]
     monkeypatch.setattr(start, "_UDP_PORTS", (port,))
     monkeypatch.setattr(start, "_SERIAL", ())
-    monkeypatch.setattr(start, "_ARDRONE", ("127.0.0.1", 1))
+    monkeypatch.setattr(answering, "_PORT", 1)
+    monkeypatch.setitem(start.ANSWERING, "ardrone2", replace(start.ANSWERING["ardrone2"], host="127.0.0.1"))
     codec, over = Codec(1, 1), threading.Event()
 
     def beating() -> None:
@@ -122,14 +125,14 @@ def test_an_ardrone_is_who_sends_navdata(answer: bytes | None, monkeypatch: pyte
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there, socket.create_server(("127.0.0.1", 0)) as open_port:
         there.bind(("127.0.0.1", open_port.getsockname()[1]))
         there.settimeout(20.0)
-        monkeypatch.setattr(start, "_ARDRONE", there.getsockname())
+        monkeypatch.setattr(answering, "_PORT", there.getsockname()[1])
 
-        def answering() -> None:
+        def answer_once() -> None:
             opening, caller = there.recvfrom(100)
             if answer is not None and opening:
                 there.sendto(answer, caller)
 
-        thread = threading.Thread(target=answering)
+        thread = threading.Thread(target=answer_once)
         thread.start()
         names = [one.name for one in start.found_vehicles(1.0)]
         thread.join()

@@ -39,7 +39,7 @@ from companion.tools.report.page import render
 from estimator.contracts.commands import Land
 from estimator.contracts.estimates import COMPONENTS, FusionResult, Verdict
 from estimator.contracts.time import MonoNs
-from sitl.flight.flight import Flight
+from sitl.ardrone.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from tests.companion.test_recorder import CAMERA
 from tests.companion.test_records import result

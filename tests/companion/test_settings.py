@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from companion.cli import main as cli
+from companion.parts.mavlink.bridge.options import BridgeOptions
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import schema
-from companion.settings.links import BridgeOptions
 from companion.settings.load import (
     SHIPPED,
     camera_model,

@@ -23,6 +23,7 @@ from estimator.contracts.errors import BadInput, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Imu
 from estimator.contracts.time import MonoNs, after
+from sitl.ardrone.flight import Flight
 from sitl.faults import kinds
 from sitl.faults.fault import Fault, FaultTimer
 from sitl.faults.faulty_streams import FaultyStream, InTransit
@@ -37,7 +38,6 @@ from sitl.faults.readings import (
     Ultrasound,
     VelocityReading,
 )
-from sitl.flight.flight import Flight
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import from_mapping, pad_model
 from sitl.sensors.sensors import Readings

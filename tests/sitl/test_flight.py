@@ -8,8 +8,8 @@ from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
 from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
+from sitl.ardrone.flight import Flight
 from sitl.faults.kinds import FrameStream, LensCovered, NavdataStream, StreamFault
-from sitl.flight.flight import Flight
 from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
 from tests.fly import ObservedCalls, fly_for, land, new_flight

@@ -26,10 +26,11 @@ from estimator.contracts.commands import Velocity
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.geometry import GeoPoint, Rotation
 from estimator.contracts.time import MonoNs, after
+from sitl.ardrone.flight import of_at
 from sitl.emulators.autopilots.watch import MavlinkWires
 from sitl.flight.ending import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
-from sitl.flight.hands import Asks, Decides, SentPacket, of_at
+from sitl.flight.hands import Asks, Decides, SentPacket
 from sitl.flight.limits import Errand, limits_of
 from sitl.flight.referee import STAMP_ERROR_MAX_S, Referee, SightWatch, unsafe_contacts
 from sitl.scenario.scenario import load

@@ -14,6 +14,7 @@ import pytest
 
 from companion.base.health import Health
 from companion.base.mission import ENDED, State
+from companion.parts.mavlink.bridge.options import BridgeOptions
 from companion.parts.metrics.endpoint import families
 from companion.parts.mqtt.options import MqttSettings
 from companion.settings.files import CREDENTIAL
@@ -112,7 +113,7 @@ def test_the_rig_of_compose_fits_its_services() -> None:
     text = (ROOT / "compose.yaml").read_text()
     services = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
     assert isinstance(rig.vehicle, ArDroneOptions)
-    (bridge,) = rig.bridge.endpoints()
+    (bridge,) = rig.of(BridgeOptions).endpoints()
     assert f":{bridge.port}/udp" in text
     assert {rig.vehicle.host, rig.of(MqttSettings).host} <= services
     assert rig.http.port == HttpSettings().port

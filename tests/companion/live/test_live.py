@@ -34,7 +34,7 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import foxglove_protocol as protocol
 from companion.recording.frame_encoder import is_key_frame
 from drivers.clock import SystemClock
-from sitl.flight.flight import Flight
+from sitl.ardrone.flight import Flight
 from sitl.scenario.scenario import load as load_scenario
 from tests.fly import sim_settings
 from tests.support.waiting import PATIENCE_S, listening, until

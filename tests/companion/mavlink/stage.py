@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import companion.settings.load as settings_of
 from companion.base.health import Health
 from companion.base.observer import Decision
-from companion.parts.mavlink.bridge import VehicleBridge
+from companion.parts.mavlink.bridge.part import VehicleBridge
 from companion.parts.mavlink.component import PARAMETERS, Component, speaking
 from companion.parts.mavlink.outputs import Outputs
 from companion.parts.mavlink.parameters import Tunables

@@ -20,12 +20,12 @@ import pytest
 from companion.base.health import Health
 from companion.base.orders import OperatorOrder
 from companion.parts.mavlink import make
-from companion.parts.mavlink.bridge import BridgePart, VehicleBridge
+from companion.parts.mavlink.bridge.options import BridgeOptions
+from companion.parts.mavlink.bridge.part import BridgePart, VehicleBridge
 from companion.parts.mavlink.commands import ACCEPTED, DENIED, UNSUPPORTED
 from companion.parts.mavlink.make import PART, LinkWatch
 from companion.parts.mavlink.metadata import metadata_files
 from companion.parts.mavlink.parameters import NAMES, Tunables
-from companion.settings.links import BridgeOptions
 from companion.settings.load import load
 from companion.settings.model import Settings
 from drivers.clock import SystemClock

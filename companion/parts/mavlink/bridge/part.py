@@ -19,6 +19,7 @@ from companion.base.observer import NullObserver
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.cycle.ports import Assembly
 from companion.guidance.pilot_operator import FlightWatch, PilotOperator
+from companion.parts.mavlink.bridge.options import BridgeOptions
 from companion.parts.mavlink.camera_component import CameraComponent, Send, ShowCamera, shown_camera
 from companion.parts.mavlink.commands import ACCEPTED, CAPABILITIES, DENIED, UNSUPPORTED, Offered, Refusals, link_counters
 from companion.parts.mavlink.component import MavSeverity, StatusTexts
@@ -26,7 +27,6 @@ from companion.parts.mavlink.file_server import FILE_REQUEST, FileServer
 from companion.parts.mavlink.metadata import metadata_files, metadata_message
 from companion.parts.mavlink.parameters import PARAMETER_REQUESTS, ParameterServer, Tunables, tunables
 from companion.parts.mavlink.signed_links import signed_links
-from companion.settings.links import BridgeOptions
 from drivers.mavlink.access import AccessLevel, NamedSenders
 from drivers.mavlink.dialect import ComponentMetadata, Message, mav, ms_since_boot
 from drivers.mavlink.links import LinkOptions, Links, ReceivedMessage, Tap, open_links
@@ -312,10 +312,11 @@ class BridgePart(NullObserver):
 def join(service: Assembly) -> None:
     """Show a vehicle that speaks no MAVLink to ground stations."""
     settings, pilot, clock = service.settings, service.pilot, service.clock
+    options = settings.of(BridgeOptions)
     flight = FlightWatch(pilot, clock)
     bridge = BridgePart(
-        settings.bridge,
-        signed_links(settings.bridge),
+        options,
+        signed_links(options),
         clock,
         order=PilotOperator(pilot, OrderSender(OrderSource.MAVLINK), clock).order,
         below=lambda: flight.below(clock.now())[0],

@@ -8,12 +8,12 @@ A simulated person stands beside it and gives the orders of the scenario's `oper
 
 import math
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 import cv2
 import numpy as np
-from msgspec import Struct, structs
+from msgspec import structs
 
 from companion.base.health import Health
 from companion.base.mission import FLOWN
@@ -43,8 +43,10 @@ from sitl.faults.kinds import ServiceKilled
 from sitl.flight.afterwards import Afterwards
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
+from sitl.flight.hands import Asks, SentPacket
 from sitl.flight.person import SimulatedPerson
-from sitl.flight.service import VISION_S, SimulatedService
+from sitl.flight.service import SimulatedService
+from sitl.flight.stepped import Timing
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Scenario, camera_model
@@ -60,17 +62,19 @@ _WATCH_EACH = 10
 """Number of ticks between two checks of the truth for the grade: 50 ms."""
 
 
-class Timing(Struct, frozen=True):
-    """The delays of the simulated service, and the end of its time."""
-
-    frame_period_s: float | None = None
-    """None: as the drone is configured (`video:codec_fps`)."""
-    frame_delay_s: float = 0.09
-    """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
-    vision_s: float = VISION_S
-    """Time that vision takes for a frame."""
-    overtime_s: float = 0.0
-    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
+def of_at(commands: Iterable[at.AtCommand], now: MonoNs) -> SentPacket | None:
+    """Return what a datagram of AT commands asks; None where it steers nothing."""
+    words = [command for command in commands if isinstance(command, at.Ref)]
+    sticks = [command for command in commands if isinstance(command, at.Pcmd)]
+    if any(word.emergency for word in words):
+        return SentPacket(now, Asks.STOP)
+    if words and not words[-1].take_off:
+        return SentPacket(now, Asks.LAND)
+    if not sticks:
+        return None
+    if sticks[-1].flags & at.PCMD_PROGRESSIVE:
+        return SentPacket(now, Asks.MOVE)
+    return SentPacket(now, Asks.HOVER if words else Asks.CENTRED)
 
 
 class Flight:
@@ -284,7 +288,8 @@ class Flight:
         return at.encode(self._sequence, command)
 
     def _send(self, commands: Sequence[at.AtCommand]) -> None:
-        self._grader.on_sent(commands, self._clock.t)
+        if (wire := of_at(commands, self._clock.t)) is not None:
+            self._grader.referee.hands.sent(wire)
         for command in commands:
             self._commands_under_way.send(partial(bytes, self._encoded(command)), self._clock.t)
         self._deliver_commands(self._clock.t)
