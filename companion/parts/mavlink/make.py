@@ -51,19 +51,22 @@ from estimator.contracts.time import Clock, MonoNs, seconds_between
 # surface that it sees, which is the deck; an autopilot measures them over the ground, so a ship under way would leave it
 # behind, and a heaving deck would rise faster than guidance corrects for. The pad's velocity over the ground is the autopilot's
 # velocity plus the pad's velocity relative to the body. The horizontal part is a mean over some seconds, which keeps the ship's
-# way and removes the waves; it is held while the pad is out of sight, and after that the ship's own report of her velocity
-# stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the vehicle took off, and of
-# where she has been since: a hover over the ground soon loses a ship that keeps her way. The vertical part is the current heave,
-# zero while the pad is out of sight.
+# way. Out of sight the mean over some waves is held, as long as she did not turn away from it, and after that the ship's own
+# report of her velocity stands for it. Without a report it is kept for some minutes more, as is that of the deck from which the
+# vehicle took off, and of where she has been since: a hover over the ground soon loses a ship that keeps her way. The vertical
+# part is the current heave, zero while the pad is out of sight.
 
 MEAN_S = 2.0
 """Time over which the horizontal velocity is averaged."""
+WAVES_S = 6.0
+"""Time over which it is averaged for a hold without sight, which follows what is left of a wave for minutes."""
 HEAVE_S = 0.15
 """Time over which the vertical velocity is averaged."""
 FORGET_S = 20.0
 """The time after which a pad that comes back into sight counts as another pad, s."""
 KEEP_S = 300.0
 """The time without sight for which a ship that reports nothing is taken to keep her way, s."""
+_UNSEEN_S = 1.0  # time without sight from which the mean over waves is held
 _FRESH_S = 0.3  # age up to which an estimate counts
 _SIGMA_MAX_M_S = 0.6  # standard deviation of its velocity up to which it counts
 _MOST_M_S = 15.0  # speed that is given to the autopilot at most
@@ -111,7 +114,7 @@ class DeckVelocity:
         trusted: Callable[[], bool] = lambda: True,
     ) -> None:
         self._believe, self._autopilot, self._reported, self._trusted = believe, autopilot, reported, trusted
-        self._velocity = np.zeros(3)
+        self._velocity = self._over_waves = np.zeros(3)
         self._known_s = 0.0
         self._at: MonoNs | None = None
         self._kept: tuple[MonoNs, F64] | None = None
@@ -121,26 +124,32 @@ class DeckVelocity:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured, rested = self._measured(now) if self._trusted() else None, self._autopilot.rested
         if not self._trusted():
-            self._velocity, self._known_s, self._at, self._kept = np.zeros(3), 0.0, None, None
+            self._known_s, self._at, self._kept = 0.0, None, None
+            self._velocity = self._over_waves = np.zeros(3)
         if rested is not None and (self._kept is None or rested.at > self._kept[0]):
             self._kept = rested.at, rested.v_ned
         elif rested is not None and self._kept is not None and rested.at == self._kept[0] and not self._autopilot.steered:
             self._kept = rested.at, self._carried(now, rested)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
-            self._kept = self._at, self._velocity * (1.0, 1.0, 0.0)
-            self._velocity, self._known_s, self._at = np.zeros(3), 0.0, None
+            self._kept = self._at, self._steady * (1.0, 1.0, 0.0)
+            self._known_s, self._at = 0.0, None
+            self._velocity = self._over_waves = np.zeros(3)
         if measured is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
             if self._at is None and (kept := self._kept_way(now)) is not None:
                 # Half a second of a sight that is wrong must not stand for what is kept for minutes.
-                self._velocity, self._known_s, self._at = np.array([*kept[:2], measured[2]]), MEAN_S, now
+                self._known_s, self._at = MEAN_S, now
+                self._velocity = self._over_waves = np.array([*kept[:2], measured[2]])
             self._known_s += since_s
-            spans_s = np.minimum(self._known_s, (MEAN_S, MEAN_S, HEAVE_S))
-            weight = 1.0 if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
-            self._velocity = self._velocity + weight * (measured - self._velocity)
+            spans_s = np.minimum(self._known_s, [[MEAN_S, MEAN_S, HEAVE_S], [WAVES_S] * 3])
+            weights = np.ones((2, 3)) if self._at is None else since_s / np.maximum(spans_s, max(since_s, 1e-9))
+            self._velocity = self._velocity + weights[0] * (measured - self._velocity)
+            self._over_waves = self._over_waves + weights[1] * (measured - self._over_waves)
             self._at = now
         elif self._at is not None and seconds_between(self._at, now) > HEAVE_S:
             self._velocity = self._velocity * (1.0, 1.0, 0.0)
+            if seconds_between(self._at, now) > _UNSEEN_S:
+                self._velocity = self._steady * (1.0, 1.0, 0.0)
         velocity = self._velocity
         if self._at is None:
             v_ship = self._reported(now)
@@ -150,6 +159,11 @@ class DeckVelocity:
                 velocity = kept
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    @property
+    def _steady(self) -> F64:
+        """The ship's way without the waves, (3,) m/s; that of the last seconds where she does not keep it."""
+        return self._over_waves if math.dist(self._over_waves[:2], self._velocity[:2]) <= _SAME_WAY_M_S else self._velocity
 
     def _kept_way(self, now: MonoNs) -> F64 | None:
         """Return the ship's way from before the pad came into sight, (3,) m/s; None if it is not known any more."""
