@@ -180,12 +180,16 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
     takes_targets = True
     orders_recordings = True
     response = "autopilot"
-    # A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's
-    # (docs/decisions/filter-tilt.md#an-autopilots-bias-walks).
+    # A ship expects the nose on the arrow, and an autopilot's readings err otherwise than an AR.Drone's: its bias walks, and a
+    # velocity by GNSS has no scale (docs/decisions/filter-tilt.md).
     defaults = MappingProxyType(
         {
             ("guidance", "tries"): {"heading": "align"},
-            ("estimator", "ekf"): {"sigma_attitude_bias_rad": math.radians(0.5), "asd_accel_bias_m_s3": 0.02},
+            ("estimator", "ekf"): {
+                "sigma_attitude_bias_rad": math.radians(0.5),
+                "asd_accel_bias_m_s3": 0.02,
+                "sigma_velocity_scale": 0.02,
+            },
         }
     )
     barred = (

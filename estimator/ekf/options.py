@@ -102,7 +102,14 @@ class EkfOptions(Struct, frozen=True, forbid_unknown_fields=True):
 
     velocity_scale: Annotated[float, tuning("initial scale factor: measured over true horizontal velocity", "1", 0.1, 10.0)] = 1.0
     sigma_velocity_scale: Annotated[
-        float, tuning("standard deviation of the scale factor at the start", "1", 1e-4, 10.0, _MOTION_CAPTURE)
+        float,
+        tuning(
+            "standard deviation of the scale factor at the start; 0.02 for an autopilot if nothing is set, as GNSS has none",
+            "1",
+            1e-4,
+            10.0,
+            _MOTION_CAPTURE,
+        ),
     ] = 0.2
     asd_velocity_scale: ClassVar[float] = 1e-3  # Random walk of the scale factor: its change within 1 s
     velocity_is_over: Annotated[

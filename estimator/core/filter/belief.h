@@ -67,6 +67,8 @@ typedef struct {
 typedef struct {
     /* Instants of the last fusion and of the first sample in the rejection streak, ns; -1 if there is none. */
     int64_t fused, refused;
+    /* Innovation of the first sample in that streak. */
+    double first[3];
     /* Number of samples that wait, instant of the first, ns, number of components, and which of a velocity's, a bit each. */
     int64_t n, since, m, axes;
     /* Weight of the hypothesis that the velocity is relative to the deck: 0 over the ground, 1 over the deck. */

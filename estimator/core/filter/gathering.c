@@ -11,6 +11,11 @@
 
 /* Length of a rejection streak after which a kind of aiding is accepted again, with what it contradicts made uncertain. */
 static const double STUCK_S = 1.0;
+/* Time before such a streak in which an error may have grown up to the gate. */
+static const double GREW_S = 2.0;
+
+/* The deck's velocity along each axis that a drift of body and deck together changes. */
+static const int DRIFTS[] = {DL_VESSEL_VEL, DL_VESSEL_VEL + 1, HEAVING};
 
 /* The bits of an axis mask for forward and right. */
 enum { HORIZONTAL = 3 };
@@ -105,18 +110,54 @@ static void inflate_along(double *P, const double g[DL_N], double var)
 }
 
 /* Body and vessel drift together: their common velocity becomes uncertain. */
-static void drift_together(double *P, const double *innov)
+static void drift_together(double *P, int m, const double *innov)
 {
-    const double var = innov[0] * innov[0] + innov[1] * innov[1];
-    for (int i = 0; i < 2; i++) {
+    const double level = innov[0] * innov[0] + innov[1] * innov[1];
+    for (int i = 0; i < m; i++) {
         double g[DL_N] = {0.0};
-        g[DL_VEL + i] = g[DL_VESSEL_VEL + i] = 1.0;
-        inflate_along(P, g, var);
+        g[DL_VEL + i] = g[DRIFTS[i]] = 1.0;
+        inflate_along(P, g, i < 2 ? level : innov[i] * innov[i]);
     }
 }
 
+/* A vector in `level` along north, east and down. */
+static void along_north(double c, double s, const double level[3], double ned[3])
+{
+    ned[0] = c * level[0] - s * level[1];
+    ned[1] = s * level[0] + c * level[1];
+    ned[2] = level[2];
+}
+
+/* A velocity that was refused since an instant: what was off at once leapt, and what grew is the accelerometer's, which began to err. */
+static void leapt_or_misfelt(const dl_belief *b, double *P, const dl_aid *begun, const double *innov)
+{
+    const dl_aid *streak = &b->aids[DL_VELOCITY];
+    const int m = (int)begun->m;
+    const double lasted_s = seconds(streak->refused, b->t), flat = hypot(b->R[0], b->R[3]), c = b->R[0] / flat, s = b->R[3] / flat;
+    double now[3] = {0.0}, grows[3] = {0.0}, leap[3], v[3], a[3], bias[3], g[DL_N] = {0.0};
+    for (int i = 0; i < m; i++) {
+        now[i] = innov[i];
+        grows[i] = (innov[i] - streak->first[i]) / lasted_s;
+    }
+    const double grew_s = fmax(0.0, fmin(GREW_S, dot(streak->first, grows) / fmax(dot(grows, grows), 1e-9)));
+    for (int i = 0; i < 3; i++) {
+        leap[i] = streak->first[i] - grew_s * grows[i];
+    }
+    drift_together(P, m, leap);
+    along_north(c, s, now, v);
+    along_north(c, s, grows, a);
+    rotated_back(b->R, a, bias);
+    for (int i = 0; i < 3; i++) {
+        g[DL_ACCEL_BIAS + i] = -bias[i];
+        g[DL_VEL + i] = v[i];
+        /* Sightings took the deck with the body. */
+        g[DRIFTS[i]] = b->sighted > streak->refused ? v[i] : 0.0;
+    }
+    inflate_along(P, g, 1.0);
+}
+
 /* Make uncertain what a rejected sensor contradicts, in directions that leave the pad's position certain. */
-static void inflate(const dl_belief *b, covariance *c, int kind, const double *innov)
+static void inflate(const dl_belief *b, covariance *c, int kind, const dl_aid *begun, const double *innov)
 {
     double *P = changeable(c), g[DL_N] = {0.0};
     const double *x = b->x;
@@ -142,8 +183,10 @@ static void inflate(const dl_belief *b, covariance *c, int kind, const double *i
             AT(P, DL_ATT_BIAS + i, DL_ATT_BIAS + i) += size;
         }
     } else if (kind == DL_VELOCITY) {
-        drift_together(P, innov);
         AT(P, DL_VEL_SCALE, DL_VEL_SCALE) += 0.01;
+        if ((begun->axes & HORIZONTAL) == HORIZONTAL) {
+            leapt_or_misfelt(b, P, begun, innov);
+        }
     } else if (kind == DL_HEIGHT) {
         AT(P, DL_BARO_OFFSET, DL_BARO_OFFSET) += innov[0] * innov[0];
     }
@@ -186,18 +229,21 @@ void gather(const dl_filter_params *o, dl_belief *b, covariance *c, int kind, co
     const double nis_max = o->nis_max[m - 1];
     write_outcome(out, nis > nis_max ? DL_GATED : DL_FUSED, m, (int)begun->axes, innov, S, nis, nis_max);
     if (nis > nis_max) {
-        int64_t since = happened(a->refused) ? a->refused : b->t;
-        if (seconds(since, b->t) > STUCK_S) {
-            inflate(b, c, kind, innov);
-            since = -1;
+        if (!happened(a->refused)) {
+            a->refused = b->t;
+            memset(a->first, 0, sizeof a->first);
+            memcpy(a->first, innov, (size_t)m * sizeof *innov);
         }
-        a->refused = since;
+        if (seconds(a->refused, b->t) > STUCK_S) {
+            inflate(b, c, kind, begun, innov);
+            a->refused = -1;
+        }
         return;
     }
     if (kind == DL_VELOCITY && happened(a->refused) && (begun->axes & HORIZONTAL) == HORIZONTAL) {
         /* The uncertainty of coasting has grown to cover a leap, and would explain it by a tilt and a bias that do not exist. An
          * autopilot that finds its first GNSS fix on a ship under way leaps. */
-        drift_together(changeable(c), innov);
+        drift_together(changeable(c), m, innov);
     }
     const int64_t fused = a->fused;
     *a = *begun;

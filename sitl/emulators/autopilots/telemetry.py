@@ -1,6 +1,8 @@
 """Faults of a vehicle's sensors and commands, in the datagrams between an autopilot and the service.
 
-The autopilot itself goes on with the right readings, as a vehicle's own loops do behind the sockets of an AR.Drone.
+The autopilot itself goes on with the right readings, as a vehicle's own loops do behind the sockets of an AR.Drone. A program
+shares the sensor: its filter estimates an accelerometer's bias up to a limit, beyond which its own velocity errs too.
+Source: EK3_ACC_BIAS_LIM, 1 m/s^2 (AP_NavEKF3.cpp); EKF2_ABL_LIM, 0.4 m/s^2 (PX4's EKF/common.h).
 """
 
 import copy

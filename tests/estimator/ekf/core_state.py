@@ -84,7 +84,7 @@ def _members(record: NDArray[Any]) -> dict[str, Any]:
 def _read_aid(kind: int, record: NDArray[Any]) -> SimpleNamespace:
     aid = SimpleNamespace(**_members(record))
     if aid.n == 0:
-        return SimpleNamespace(fused=aid.fused, refused=aid.refused, gathered=None)
+        return SimpleNamespace(fused=aid.fused, refused=aid.refused, first=aid.first, gathered=None)
     m, columns = aid.m, SAMPLE_COLUMNS[kind]
     H = np.zeros((m, N))
     H[:, columns] = aid.H.reshape(3, COLUMNS_MAX)[:m, : len(columns)]
@@ -93,7 +93,7 @@ def _read_aid(kind: int, record: NDArray[Any]) -> SimpleNamespace:
     gathered = SimpleNamespace(
         n=aid.n, since=aid.since, axes=axes, deck_weight=aid.deck_weight, innov=aid.innov[:m], H=H, **squares
     )
-    return SimpleNamespace(fused=aid.fused, refused=aid.refused, gathered=gathered)
+    return SimpleNamespace(fused=aid.fused, refused=aid.refused, first=aid.first, gathered=gathered)
 
 
 @lru_cache(maxsize=4)  # few events change it
@@ -147,7 +147,7 @@ def written(b: State) -> NDArray[Any]:
         "dl_belief",
         **values,
         rejections=vars(b.rejections),
-        aids=[{"fused": aid.fused, "refused": aid.refused} for aid in b.aids],
+        aids=[{"fused": aid.fused, "refused": aid.refused, "first": aid.first} for aid in b.aids],
         excesses={
             "n": len(b.excesses),
             "t": np.array([t for t, _ in b.excesses], dtype=np.int64),

@@ -47,6 +47,7 @@ from estimator.ekf.params import (
     SIGMA,
     TURN_RATE,
     VEL,
+    VEL_AXES,
     VEL_DOWN,
     VEL_SCALE,
     VESSEL_VEL,
@@ -262,7 +263,7 @@ def _begin(event: Event, params: FilterParams) -> tuple[State | None, Outcome]:
         ins_var_m2_s2=0.0, jolt_var_m2_s2=0.0, jolt_var_rad2=0.0, over_pad=0.0, wave_w=bank.w_rad_s, wave_zeta=bank.zeta,
         wave_sigma=bank.sigma, nis_mean=1.0, nis_claimed=1.0, heading_held_s=0.0, vessel_before=np.zeros(2),
         rejections=no_streak(), excesses=[], bank=bank,
-        aids=[SimpleNamespace(fused=-1, refused=-1, gathered=None) for _ in range(4)],
+        aids=[SimpleNamespace(fused=-1, refused=-1, first=np.zeros(3), gathered=None) for _ in range(4)],
     )  # fmt: skip
     b.P = np.diag(params.initial_var)
     b.P[WAVES[0, 0] : WAVES[-1, -1] + 1, WAVES[0, 0] : WAVES[-1, -1] + 1] = block_diag(*waves_unknown(b))
@@ -694,12 +695,13 @@ def _gather(
     if nis is None:
         return Outcome(Verdict.SINGULAR, innov, S, axes=axes)
     if nis > limit:
-        aid.refused = aid.refused if aid.refused >= 0 else b.t
+        if aid.refused < 0:
+            aid.refused, aid.first = b.t, np.append(innov, np.zeros(3 - innov.size))
         if (b.t - aid.refused) * 1e-9 > 1.0:
-            b.P, aid.refused = _inflated(b, kind, innov), -1
+            b.P, aid.refused = _inflated(b, kind, innov, axes), -1
         return Outcome(Verdict.GATED, innov, S, nis, limit, axes)
     if kind == VELOCITY and aid.refused >= 0 and axes[:2] == (0, 1):
-        b.P = _drifting(b.P, innov)
+        b.P = _drifting(b.P, np.append(innov, np.zeros(3 - innov.size)))
     so_far.n, so_far.innov, so_far.R = so_far.n + 1, so_far.innov + innov, so_far.R + R
     aid.gathered, aid.refused = so_far, -1
     first = min(other.gathered.since for other in b.aids if other.gathered)
@@ -732,14 +734,30 @@ def _together(rows: list[Rows]) -> Rows:
     return Rows(np.concatenate([r.innov for r in rows]), np.concatenate([r.H for r in rows]), block_diag(*(r.R for r in rows)))
 
 
+_COMMON = np.stack([I_N[body] + I_N[deck] for body, deck in zip(VEL_AXES, (*range(N)[VESSEL_VEL], DECK_RATE[2]), strict=True)])
+"""(3, N) the velocity of body and deck together."""
+
+
 def _drifting(P: F64, innov: F64) -> F64:
     """Return the covariance after body and vessel drifted together."""
-    g = np.zeros((N, 2))
-    g[VEL][:2] = g[VESSEL_VEL] = np.eye(2)
-    return np.asarray(P + g @ g.T * float(innov[:2] @ innov[:2]))
+    level = float(innov[:2] @ innov[:2])
+    return np.asarray(P + (_COMMON.T * (level, level, innov[2] ** 2)) @ _COMMON)
 
 
-def _inflated(b: State, kind: int, innov: F64) -> F64:
+def _leapt_or_misfelt(b: State, innov: F64) -> F64:
+    """Return the covariance after a streak of refusals: what was off at once leapt, what grew is the accelerometer's."""
+    aid, R_ned_level = b.aids[VELOCITY], about_down(math.atan2(b.R[1, 0], b.R[0, 0]))
+    made = np.append(innov, np.zeros(3 - innov.size))
+    grows = (made - aid.first) / ((b.t - aid.refused) * 1e-9)
+    leap = aid.first - grows * np.clip(aid.first @ grows / max(grows @ grows, 1e-9), 0.0, 2.0)
+    if innov.size < 3:
+        leap[2] = 0.0
+    g = (R_ned_level @ made) @ (_COMMON if b.sighted > aid.refused else I_N[VEL])
+    g[ACCEL_BIAS] -= b.R.T @ R_ned_level @ grows
+    return np.asarray(_drifting(b.P, leap) + np.outer(g, g))
+
+
+def _inflated(b: State, kind: int, innov: F64, axes: tuple[int, ...]) -> F64:
     """Return the covariance where what a rejected sensor contradicts is uncertain, and the pad's position is not."""
     P, x = b.P.copy(), b.x
     if kind == ATTITUDE:
@@ -753,7 +771,7 @@ def _inflated(b: State, kind: int, innov: F64) -> F64:
         P[ATT_ERR, ATT_ERR] += I3 * (0.1 * size)
         P[ATT_BIAS, ATT_BIAS] += size
     elif kind == VELOCITY:
-        P = _drifting(P, innov)
+        P = _leapt_or_misfelt(b, innov) if axes[:2] == (0, 1) else P
         P[VEL_SCALE, VEL_SCALE] += 0.01
     elif kind == HEIGHT:
         P[BARO_OFFSET, BARO_OFFSET] += float(innov[0]) ** 2

@@ -20,6 +20,7 @@ from estimator.contracts.time import MonoNs
 from sitl.campaign.plan import Overridable
 from sitl.emulators.autopilots.conduct import FlightEnd
 from sitl.emulators.autopilots.stand_in.flight import StandInFlight
+from sitl.faults.corrupted import Corrupted
 from sitl.faults.kinds import Failsafe, LowBattery, OperatorActs, ServiceKilled
 from sitl.flight import afterwards
 from sitl.flight.afterwards import STANDS_AFTER_S
@@ -76,6 +77,16 @@ def flight_of(
     return StandInFlight(
         scenario, seed, settings, stack, parameters, observers=observers, perception=perceive(level), unaided=unaided
     )
+
+
+@pytest.mark.hazard("H7")
+@pytest.mark.parametrize("stack", ["arducopter", "px4"])
+def test_an_accelerometer_that_begins_to_err_makes_no_deck_run_away(stack: Literal["px4", "arducopter"]) -> None:
+    """WHY: the filter refused the right velocity for good, and the law followed a deck at 12 m/s (kept from a campaign)."""
+    fault = Corrupted(signal="accelerometer", error="biased", size=0.786, at_s=0.0925)
+    end = flight_of(stack, "weather_3", 903026, "model", start={}, faults=(fault,)).fly()
+    assert end.ending.outcome is FlightOutcome.LANDED
+    assert end.ending.contact.on_pad
 
 
 def assert_landed_and_stopped_at_once(flight: StandInFlight, end: FlightEnd) -> None:
