@@ -66,8 +66,10 @@ class ReasonCause(Enum):
 
     TRY_TIME = "no landing within {limit:g} s"
     LANDING_TIME = "no landing within {limit:g} s, all tries together"
+    LOW_TIME = "low over the deck for {measured:.0f} s without a landing (limit {limit:g} s, all tries together)"
     STATE_TIME = "no progress within {limit:g} s"
     LOSSES = "the pad was lost {measured:.0f} times in one descent (limit {limit:g})"
+    SWEPT = "swept out of the cone near the deck {measured:.0f} times (limit {limit:g})"
     BLIND_DESCENT = "{measured:.2f} m lower without sight of the pad (limit {limit:g} m)"
     NO_LANDING = "no landing was reported within {limit:g} s"
     NO_CONTACT = "no contact was felt within {limit:g} s"
@@ -127,6 +129,7 @@ CONDITIONS = frozenset(
         ReasonCause.DECK_FALL,
         ReasonCause.WIND,
         ReasonCause.GUST,
+        ReasonCause.SWEPT,
         ReasonCause.BATTERY,
         ReasonCause.TIME_LOCK,
         ReasonCause.ON_PAD,

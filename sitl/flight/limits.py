@@ -11,6 +11,8 @@ ON_DECK_M = 0.03
 """Height of the lowest foot over the deck up to which the vehicle stands on it: uneven feet, and springs that give."""
 LOW_M, KNEE_M = 1.0, 0.5
 """Heights of the lowest foot under which a rotor reaches a person who kneels or an object that stands there, and his feet."""
+HELD_LOW_M = LOW_M + 0.5
+"""Height of the lowest foot at a hold up to which the stop may bring the vehicle below `LOW_M`."""
 AWAY_M = 20.0
 """The length of a small ship, within which a person sees and reaches a vehicle."""
 ENDING = 0.1
@@ -71,7 +73,7 @@ def _each(most: float, *whose: Decides) -> dict[Decides, float]:
 def limits_of(errand: Errand, contact: ContactSettings, frame: Airframe) -> dict[str, CountLimit]:
     """Return the limit of each count.
 
-    A person with the sticks answers for place and speed, and one who holds it for the time that it stays there. Hard, tilted or
+    A person with the sticks answers for place and speed, and one who holds it low for the time that it stays so. Hard, tilted or
     wet contacts, turning over and motors that stop in the air count whoever has it, but for one who stopped them himself. The
     last charge without sight excuses the blind descent and the place beside the pad, as far as a velocity loses the pad.
     """
@@ -143,16 +145,16 @@ def limits_of(errand: Errand, contact: ContactSettings, frame: Airframe) -> dict
             "several times what pressing on and a landing take; a person needs the time to decide",
         ),
         "low_outside_s": CountLimit(
-            _each(5.0, _G) | _each(10.0, _LANDING, _CHARGE) | _each(60.0, _HOLD, _HAND) | low_alone,
+            _each(5.0, _G) | _each(10.0, _LANDING, _CHARGE) | _each(60.0, _HOLD) | low_alone,
             "flew lower than 1 m beside the pad for {value:.1f} s",
             "twice a climb of 1 m at 0.5 m/s, and as much to decide; who holds it there sees who stands there",
         ),
         "knee_outside_s": CountLimit(
-            _each(3.0, _G) | _each(6.0, _LANDING, _CHARGE) | _each(30.0, _HOLD, _HAND) | low_alone,
+            _each(3.0, _G) | _each(6.0, _LANDING, _CHARGE) | _each(30.0, _HOLD) | low_alone,
             "flew lower than 0.5 m beside the pad for {value:.1f} s", "half of that",
         ),
         "low_over_pad_s": CountLimit(
-            _each(120.0, *OURS), "flew lower than 1 m over the pad for {value:.0f} s",
+            _each(120.0, _G, _HOLD, _LANDING, _CHARGE), "flew lower than 1 m over the pad for {value:.0f} s",
             "clean flights waited up to 109 s at the gate for a quiet deck (weather_4, seed 896010)",
         ),
         "turned_deg_s": CountLimit(

@@ -14,7 +14,7 @@ from msgspec import Struct, field
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs, after, seconds_between
 from sitl.flight.hands import Decides, HandsWatch, descent_m, heights_m
-from sitl.flight.limits import AWAY_M, ENDING, KNEE_M, LOW_M, ON_DECK_M, OURS, STOPS_S, CountLimit, Errand, limits_of
+from sitl.flight.limits import AWAY_M, ENDING, HELD_LOW_M, KNEE_M, LOW_M, ON_DECK_M, OURS, STOPS_S, CountLimit, Errand, limits_of
 from sitl.vehicle.airframe import Airframe, ContactSettings, Feet
 from sitl.vehicle.vehicle import MOTORS_TURN, VehiclePhase
 from sitl.vessel.contact import DeckShape
@@ -201,6 +201,8 @@ class Ordered(NamedTuple):
     over_deck: bool
     stopped: bool = False
     """True once it has stopped; until then the places are the newest ones."""
+    low: bool = False
+    """True where he has held it low: for how long it stays there is his."""
 
 
 class UnreachedContacts:
@@ -353,15 +355,17 @@ class Referee:
         if whose not in (Decides.HOLD, Decides.LANDING):
             self._ordered = None
             return
-        since, was = self.hands.since, self._ordered
-        if was is not None and was.at == since and was.stopped:
+        since = self.hands.since
+        was = self._ordered if self._ordered is not None and self._ordered.at == since else None
+        if was is not None and was.stopped:
             return
         north, east, _ = truth.p_body_ned.tolist()
         v, w = truth.v_body_ned, truth.v_body_ned - truth.v_pad_ned
         stops = whose is Decides.HOLD and min(math.hypot(v[0], v[1]), math.hypot(w[0], w[1])) > _STOPPED_M_S
         stopped = not stops or seconds_between(since, truth.at) >= STOPS_S
-        heights = was.height_m if was is not None and was.at == since else heights_m(truth)
-        self._ordered = Ordered(since, m.at_m, (north, east), heights, m.over_deck, stopped)
+        held_low = whose is Decides.HOLD and m.clearance_m < HELD_LOW_M
+        heights, low = (heights_m(truth), held_low) if was is None else (was.height_m, was.low)
+        self._ordered = Ordered(since, m.at_m, (north, east), heights, m.over_deck, stopped, low)
 
     def _touches_by(self, t: Touchdown, whose: Decides) -> Decides:
         """Return who brought it to a contact: who flew it by hand within a deck's reach, until it can have climbed from there."""
@@ -403,11 +407,12 @@ class Referee:
             self._lasted_s[name][who] += dt_s
             lasted_s = self._lasted_s[name][who]
             self._note(name, lasted_s / (gives_s if name == "ending_battery" else 1.0), who, flown=lasted_s, gives=gives_s)
+        low = ON_DECK_M <= m.clearance_m < LOW_M and not (self._ordered is not None and self._ordered.low)
         holds = {
             "on_deck_s": m.stands,
-            "low_outside_s": ON_DECK_M <= m.clearance_m < LOW_M and self._beside(m),
-            "knee_outside_s": ON_DECK_M <= m.clearance_m < KNEE_M and self._beside(m),
-            "low_over_pad_s": ON_DECK_M <= m.clearance_m < LOW_M and m.aside_m <= self._disc_radius_m,
+            "low_outside_s": low and self._beside(m),
+            "knee_outside_s": low and m.clearance_m < KNEE_M and self._beside(m),
+            "low_over_pad_s": low and m.aside_m <= self._disc_radius_m,
             "ending_battery": 0.0 < truth.battery <= ENDING and m.clearance_m > ON_DECK_M,
             "empty_s": truth.battery <= 0.0 and not m.stands,
         }

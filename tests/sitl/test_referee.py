@@ -383,6 +383,22 @@ def test_a_held_vehicle_may_stop_first_and_go_with_the_deck_or_stand_over_the_gr
     assert judged([*low, Step(10.0, 6.0)]).counts["rose_m"].over
 
 
+def test_who_holds_it_low_answers_for_how_long_it_stays_there() -> None:
+    """WHY: holds at the gate, which nobody ended, were graded as guidance that hangs over the pad (weather_3, seed 903000)."""
+    names = {"low_outside_s", "knee_outside_s", "low_over_pad_s"}
+    for aside in (RADIUS_M - 0.1, RADIUS_M + 0.1):
+        low = holds(200.0, clearance=0.4, aside=aside)
+        for ordered_m, stays_m in ((0.4, 0.4), (1.3, 0.9)):
+            order = Step(-1.0, ordered_m, aside=aside, acts=HOLD, sent=(SentPacket(after(START, -1.0), Asks.HOVER),))
+            assert judged([order, *holds(200.0, clearance=stays_m, aside=aside)]).unsafe == ()
+        assert names & judged(under(Decides.HOLD, low)).as_json().keys(), "held high, it came down by itself"
+        assert not names & judged(under(Decides.HAND, low)).as_json().keys(), "he flies it there"
+        centred = Step(-1.0, 0.4, acts=(("manual", StickPositions()),), sent=(SentPacket(START, Asks.HOVER),))
+        assert not names & judged([*under(Decides.HAND, []), centred, *low]).as_json().keys(), "and leaves it there"
+        again = Step(0.0, 0.4, aside=aside, acts=(("begin", StickPositions()),))
+        assert names & judged([centred, again, *low[1:]]).as_json().keys(), "what is given back low is guidance's"
+
+
 def test_what_a_person_flew_by_hand_is_not_charged_to_guidance_that_gets_it_back_there() -> None:
     away = [*under(Decides.HAND, []), Step(-5.0, 20.0, aside=80.0)]
     back = Step(0.0, 20.0, aside=80.0, acts=(("begin", StickPositions()),))

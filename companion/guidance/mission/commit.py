@@ -62,7 +62,7 @@ def _limit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
     estimate = s.estimate
     if estimate is None:
         return rules.against_order(p, s)
-    ends = limits.commit(s.at, estimate, s.knowledge, limits.of_try(o.limits, p.go_arounds), o.cone)
+    ends = limits.commit(s.at, estimate, s.knowledge, o.limits, o.cone)
     turns = estimate.height_m > limits.no_return_m(s.knowledge, o.cone)
     return (
         contact.feet_elsewhere(p) or ends or (s.thing or rules.lens_elsewhere(s) if turns else None) or rules.against_order(p, s)

@@ -100,7 +100,8 @@ def down(p: Progress, s: GuidanceCycle, o: GuidanceOptions, arrives: ByEstimate 
 def _target_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> Target:
     # A cone that is wide enough for the error is higher up; and higher up the pad stays in view.
     wide_m = min(o.tries.safe_height_m, limits.beside_m(estimate, s.knowledge) / o.cone.slope)
-    over = np.array([*s.knowledge.aim_level, max(min(estimate.height_m, p.entered_height_m), wide_m, waits_m(s, o))])
+    stays_m = o.stay_height_m if p.stays else 0.0
+    over = np.array([*s.knowledge.aim_level, max(min(estimate.height_m, p.entered_height_m), wide_m, waits_m(s, o), stays_m)])
     return Target(over, vertical_rate_max_m_s=o.tries.climb_m_s, speed_max_m_s=o.cone.intercept_speed_m_s)
 
 

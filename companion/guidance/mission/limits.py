@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from msgspec.structs import replace
 
 from companion.base.mission import Reason, ReasonCause
 from companion.guidance.controller import Knowledge
 from companion.guidance.mission.clearance import rise_beyond_climb_m
 from companion.guidance.mission.progress import InputQuality
+from companion.settings.guidance import GuidanceOptions
 from companion.settings.mission import ConeOptions, LandingLimits
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.geometry import wrap_pi
@@ -35,7 +37,7 @@ _COMMIT_SPEED = 1.5
 """Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
-_LATER_TRY = 0.25  # growth of the limits of place and tilt with each go-around
+_LATER_TRY = 0.25  # growth of the cone and of the limits of place and tilt with each go-around
 _LATER_MOST = 1.5  # the largest growth
 _REACHED_M = 0.05
 """Height of the feet at which the deck is reached, m."""
@@ -64,10 +66,14 @@ Comparison = tuple[ReasonCause, float | None, float]
 
 
 @lru_cache(maxsize=8)
-def of_try(limits: LandingLimits, go_arounds: int) -> LandingLimits:
-    """Return the limits of a try: after go-arounds an error that stays on the pad is better than another one."""
+def of_try(options: GuidanceOptions, go_arounds: int) -> GuidanceOptions:
+    """Return the options of a try: after go-arounds an error that stays on the pad is better than another one.
+
+    The cone widens with the gate's error, or a gust takes the drone out of it before the gate can open.
+    """
     looser = min(_LATER_MOST, 1.0 + _LATER_TRY * go_arounds)
-    return grown(limits, looser, ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg"))
+    limits = grown(options.limits, looser, ("error_m", "deck_tilt_gate_deg", "deck_tilt_commit_deg"))
+    return replace(options, limits=limits, cone=grown(options.cone, looser, ("slope",)))
 
 
 def beside_m(estimate: RelativeState, knowledge: Knowledge) -> float:

@@ -56,6 +56,7 @@ from companion.guidance.mission import (
 )
 from companion.guidance.mission.charge import battery_ends, last_landing
 from companion.guidance.mission.held_course import HeldCourse
+from companion.guidance.mission.limits import of_try
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
 from companion.guidance.mission.progress import GuidanceCycle, Here, Progress, arrow_turned, entered, unfit
@@ -95,7 +96,7 @@ def phase_of(state: State, o: GuidanceOptions) -> Phase:
 
 def mission_step(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> tuple[Progress, Aim, Transitions]:
     """Run one guidance cycle; return the memory, the aim and what changed."""
-    o = last_landing(o) if battery_ends(s.battery, o) else o
+    o = of_try(last_landing(o) if battery_ends(s.battery, o) else o, p.go_arounds)
     p = account(p, s, o)
     changes: list[StateChange] = []
     if s.tipped is not None:
@@ -227,7 +228,11 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
         return _seen_from(p, s, o)
     p = _in_wind(replace(p, attempt=p.attempt.cycle(since_last_s)), s)
     # A question leaves the sight of the pad that was flown to as it was.
-    return phase_of(p.state, o).note(p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o), s, o)
+    p = p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o)
+    # A person chose the height at which it stays.
+    if p.state is not State.STAY and p.low(o.cone.feet_below_m):
+        p = replace(p, low_s=p.low_s + since_last_s)
+    return phase_of(p.state, o).note(p, s, o)
 
 
 def _in_sight(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:

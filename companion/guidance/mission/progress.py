@@ -33,10 +33,14 @@ SIGHT_HOLDS_S = 5.0
 STARVED_S = 0.25
 """Gap between two guidance cycles in which a vehicle has flown blindly on."""
 _STARVED_MOST_S = 2.0  # how much of it an attempt may have
+_SWEEPS_MOST = 5
+"""Sweeps out of the cone near the deck that a try may have: wind and waves do not let it settle, and it swings beside the pad."""
 _GAP_MAX_S = 1.0
 """Longest time that one guidance cycle adds, seconds, even if the machine was not called for longer."""
 JUMP_RAD = math.radians(90.0)
 """Change of the estimated heading within one guidance cycle that no vehicle makes."""
+NEAR_DECK_M = 1.0
+"""Height of the feet below which a rotor reaches a person who kneels on the deck, or an object that stands there, m."""
 BOUNCES_MOST = 2
 """Number of bounces after which it stays down: it lands by the vehicle's own landing, off the deck again or not."""
 
@@ -220,6 +224,8 @@ class Attempt(Struct, frozen=True):
     """Time of the first sight of the pad."""
     losses: int = 0
     """Number of losses of sight below the safe height."""
+    sweeps: int = 0
+    """Number of times that it was swept out of the cone near the deck."""
     blind_descent_m: float = 0.0
     without_sight_s: float = 0.0
     spent_s: Mapping[State, float] = field(default_factory=dict)
@@ -251,6 +257,10 @@ class Attempt(Struct, frozen=True):
         """Add one loss of sight."""
         return structs.replace(self, losses=self.losses + 1)
 
+    def swept(self) -> Attempt:
+        """Add one sweep out of the cone near the deck."""
+        return structs.replace(self, sweeps=self.sweeps + 1)
+
     def descended(self, metres: float) -> Attempt:
         """Add the height lost between two sights, metres; climbing gives nothing back."""
         return structs.replace(self, blind_descent_m=self.blind_descent_m + max(0.0, metres))
@@ -271,6 +281,8 @@ class Attempt(Struct, frozen=True):
             return Reason(ReasonCause.TRY_TIME, seconds_between(self.began, now), options.try_s)
         if self.losses > options.losses_max:
             return Reason(ReasonCause.LOSSES, float(self.losses), float(options.losses_max))
+        if self.sweeps > _SWEEPS_MOST:
+            return Reason(ReasonCause.SWEPT, float(self.sweeps), float(_SWEEPS_MOST))
         if self.starved_s > _STARVED_MOST_S:
             return Reason(ReasonCause.STARVED, self.starved_s, _STARVED_MOST_S)
         if self.blind_descent_m > options.blind_descent_max_m:
@@ -351,6 +363,10 @@ class Progress(Struct, frozen=True, eq=False):
     """Time of the order to land; None before it. What the machine does by itself requests no other landing."""
     landing_began: MonoNs | None = None
     """Time of the first sight of the pad since the landing was requested; None before it."""
+    low_s: float = 0.0
+    """Time near the deck since the landing was requested, s, all tries together."""
+    sweeps: int = 0
+    """Number of sweeps out of the cone near the deck since then."""
     go_arounds: int = 0
     bounces: int = 0
     """Number of times that it left the deck again after a contact, or touched it in a go-around."""
@@ -402,6 +418,10 @@ class Progress(Struct, frozen=True, eq=False):
     def lands_here(self) -> bool:
         """True while the vehicle lands where it is: nothing but a person, a pilot or a failsafe ends that."""
         return self.here is not None and self.state in CONTACT_INTENDED
+
+    def low(self, feet_below_m: float) -> bool:
+        """Return whether the feet are near the deck, by the newest sight and what it has climbed since."""
+        return self.seen_height_m + self.climbed_m - feet_below_m < NEAR_DECK_M
 
     def in_state_s(self, now: MonoNs) -> float:
         """Return the time since the state was entered, s; 0 before the first guidance cycle in it."""
@@ -467,6 +487,8 @@ def _after_event(p: Progress, change: StateChange) -> Progress:
             p = structs.replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = structs.replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
+        case Event.OUT_OF_CONE if change.source is State.DESCEND and p.seen_height_m < NEAR_DECK_M:
+            p = structs.replace(p, attempt=p.attempt.swept(), sweeps=p.sweeps + 1)
         case Event.NO_CONDITIONS:
             p = structs.replace(p, refusing=True)
         case Event.CLEAR:
@@ -480,7 +502,9 @@ def _after_event(p: Progress, change: StateChange) -> Progress:
 
 def _asked(p: Progress, at: MonoNs) -> Progress:
     """Return the memory after an order of a person, or the take-off that stands for one: all budgets begin again."""
-    return structs.replace(p, asked_at=at, go_arounds=0, questions=0, landing_began=None, bounces=0, reckoned=None)
+    return structs.replace(
+        p, asked_at=at, go_arounds=0, questions=0, landing_began=None, low_s=0.0, sweeps=0, bounces=0, reckoned=None
+    )
 
 
 def _fresh(p: Progress) -> Progress:

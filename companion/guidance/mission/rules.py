@@ -27,6 +27,11 @@ Row = Mapping[Event, State]
 
 _SPENT_WAIT_S = 8.0
 """Time for which it waits out of sight where the lean takes all of the tilt, s: the gust may pass, but the drone is blown off."""
+_NEAR_DECK_S = 110.0
+"""Time near the deck that a landing may have, all tries together, s: sound flights waited there for up to 109 s for a quiet deck
+(`weather_4`, seed 896010)."""
+_SWEEPS_MOST = 15
+"""Sweeps out of the cone near the deck that a landing may have: three tries of them, the last in the widest cone."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
 _ENDS_S = 0.4  # time that a way down takes to end at a height that is kept
@@ -71,9 +76,18 @@ def time_over(spent_s: float, limit_s: float, reason: Reason | None = None) -> I
 
 
 def landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | None:
-    """Return what used up the time of the whole landing, or None while it is not: a thing that bars the pad, else the time."""
+    """Return what used up the whole landing: a thing that bars the pad, else its time, its time near the deck, or its sweeps.
+
+    None while nothing is used up. With the last charge the time alone counts.
+    """
     spent_s = 0.0 if p.landing_began is None else seconds_between(p.landing_began, s.at)
-    return None if spent_s <= o.tries.landing_s else s.thing or Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s)
+    if spent_s > o.tries.landing_s:
+        return s.thing or Reason(ReasonCause.LANDING_TIME, spent_s, o.tries.landing_s)
+    if charge.battery_ends(s.battery, o):
+        return None
+    if p.low_s > _NEAR_DECK_S:
+        return s.thing or Reason(ReasonCause.LOW_TIME, p.low_s, _NEAR_DECK_S)
+    return Reason(ReasonCause.SWEPT, float(p.sweeps), float(_SWEEPS_MOST)) if p.sweeps > _SWEEPS_MOST else None
 
 
 def against_order(p: Progress, s: GuidanceCycle) -> Reason | None:
@@ -134,8 +148,8 @@ def bars_commit(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | N
     """Return the first limit of the cone's gate that does not hold, or None."""
     if (lost := unfit(s.estimate, s.at, o.stale_after_s)) is not None or s.estimate is None:
         return lost
-    of_try, aligned = limits.of_try(o.limits, p.go_arounds), o.tries.heading == "align"
-    return limits.gate(s.at, s.estimate, s.knowledge, s.quality, of_try, o.cone, aligned=aligned) or s.unseen
+    aligned = o.tries.heading == "align"
+    return limits.gate(s.at, s.estimate, s.knowledge, s.quality, o.limits, o.cone, aligned=aligned) or s.unseen
 
 
 def conditions_count(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> bool:
