@@ -85,6 +85,10 @@ _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
 _BARO_S = 2.5
 """Age up to which a barometer counts against the orders, s: an autopilot sends one reading a second."""
+_ANY_MODE = ("", "flying", "hovering")
+"""Modes of a vehicle that does not say whether it flies by velocities."""
+_TAKES_MODE_S = 10.0
+"""Time that an autopilot may take to change to our mode after an order, s."""
 _FAULTED = frozenset({State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD})
 _IGNORED_S = 60.0
 """Time after the operator's order for which what was seen on the pad is ignored, s: an attempt and the way to it."""
@@ -569,9 +573,13 @@ class LandingGuidance:
 
     def on_command(self, now: MonoNs, command: Command | None) -> ResponseInUse | None:
         """Take the command that is sent; return the vehicle's response when it is another one than last reported, else None."""
+        mode = "" if self.vehicle is None else self.vehicle.mode
+        by_mode = not self.hold.over_ground or mode in VELOCITY_MODES
         if command is not self._ordered:
             self.mission = flown_by_others(self.mission)
-        by_mode = not self.hold.over_ground or (self.vehicle is not None and self.vehicle.mode in VELOCITY_MODES)
+        elif not by_mode and mode not in _ANY_MODE and self.mission.in_state_s(now) < _TAKES_MODE_S:
+            # No climb is flown before the autopilot has taken our mode.
+            self.mission = structs.replace(self.mission, climbs_m_s=0.0)
         response = self._response.on_command(now, command, self.state, flown=by_mode)
         # Without sight a way down is a velocity, of which the driver adds the deck's own along the deck alone.
         moving = (Lean, Velocity) if self.mission.lands_here else Lean

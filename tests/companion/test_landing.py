@@ -506,3 +506,22 @@ def test_a_pad_is_known_again_after_a_silence_in_which_no_other_one_can_have_com
     assert set(silent) == {Verdict.NO_ATTITUDE}, "nothing is fused by an attitude that nobody knows"
     assert set(after) == ({Verdict.FUSED} if same else {Verdict.ELSEWHERE})
     assert pilot.estimator.guard.tracks.number == 1
+
+
+@pytest.mark.hazard("H3")
+@pytest.mark.parametrize(("mode", "until_s"), [("auto.loiter", 3.0), ("offboard", 0.0), ("flying", 0.0), ("auto.loiter", 99.0)])
+def test_a_climb_counts_once_the_autopilot_flies_it_and_not_while_it_takes_the_mode(mode: str, until_s: float) -> None:
+    """WHY: a PX4 in its failsafe's Hold took 2.5 s to obey; 4 m counted as climbed, and it searched 1.2 m over the deck."""
+    landing = in_flight(at=State.SEARCH, over_ground=True, automatic=False)
+    height_m, most_s = 0.4, 0.0
+    for n in range(round(20.0 / DT)):
+        t = n * DT
+        obeys = t >= until_s
+        landing.on_samples([status(t, mode="offboard" if obeys and until_s else mode), range_down(t, height_m)])
+        command = landing.command(knowing(t, landing))
+        landing.on_command(ns(t), command)
+        if isinstance(command, Velocity) and command.v_level[2] < 0.0:
+            height_m += DT * -float(command.v_level[2]) if obeys else 0.0
+            most_s = t
+    assert until_s > 20.0 or height_m > GuidanceOptions().tries.safe_height_m - 0.3
+    assert most_s < 19.0, "and one that never takes it is not sent up for ever"
