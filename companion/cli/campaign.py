@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.with_fault import with_random_faults
 
+_RUNS = 100  # runs where none are given
 _MAP_RUNS = 4  # runs of each cell of a map
 _BESIDE = REPORT_FOLDER._replace(inside=(REPORT, MAP))
 
@@ -101,27 +103,18 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     if args.scenario == "report":
         return _report(args)
-    if args.more and args.map:
-        raise BadInput(f"--map takes one scenario, found {args.more[0]!r} besides")
     if args.map:
-        output = {text.partition("=")[0] for text in args.vary}
-        args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
+        _vary_axes(args)
     flight_options.choose_vehicle(args)
-    args.runs, args.seed = (_MAP_RUNS if args.map else 100) if args.runs is None else args.runs, args.seed or 0
+    args.runs, args.seed = args.runs if args.runs is not None else _MAP_RUNS if args.map else _RUNS, args.seed or 0
     seeds = plans.seeds_of(args.seed, args.runs)
     workers = len(os.sched_getaffinity(0)) if args.workers is None else args.workers
-    refuse_any(
-        (workers < 1, f"--workers must be 1 or more, got {workers}"),
-        (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
-        (args.against and args.report is None, "--against goes with --report"),
-        (args.autopilot and (args.vary or args.map), "--autopilot does not go with --vary or --map"),
-    )
-    if args.report is not None:
-        require_drawing("--report")
+    _refuse(args, workers)
     plan, points = _set_plan(args) if args.more or plans.is_set(args.scenario) else _design(args, *_plan(args))
     names = list(plan.members) if isinstance(plan, plans.SetPlan) else [""]
-    jobs = [plans.Job(seed, point, name) for name in names for seed in seeds for point in points]
-    _compared_with(args.against, {job.key for job in jobs})
+    jobs = [plans.Job(seed, point, name) for name, seed, point in product(names, seeds, points)]
+    keys = {job.key for job in jobs}
+    _compared_with(args.against, keys)
     with closing(_store(args, plan, seeds)) as store:
         try:
             with _workforce(args, plan, workers) as workforce:
@@ -131,7 +124,27 @@ def run(args: argparse.Namespace) -> int:
             kept = len(store.keys())
             sys.stderr.write(f"{kept} flights are kept in {store.place}; the same command goes on from there\n")
             raise
-        return _conclude(args, plan, store, {job.key for job in jobs})
+        return _conclude(args, plan, store, keys)
+
+
+def _vary_axes(args: argparse.Namespace) -> None:
+    """Let a map vary every axis that `--vary` does not name."""
+    if args.more:
+        raise BadInput(f"--map takes one scenario, found {args.more[0]!r} besides")
+    output = {text.partition("=")[0] for text in args.vary}
+    args.vary = [*args.vary, *(axis for axis in AXES if axis.partition("=")[0] not in output)]
+
+
+def _refuse(args: argparse.Namespace, workers: int) -> None:
+    """Refuse options that do not go together by `BadInput`."""
+    refuse_any(
+        (workers < 1, f"--workers must be 1 or more, got {workers}"),
+        (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
+        (args.against and args.report is None, "--against goes with --report"),
+        (args.autopilot and (args.vary or args.map), "--autopilot does not go with --vary or --map"),
+    )
+    if args.report is not None:
+        require_drawing("--report")
 
 
 def _set_plan(args: argparse.Namespace) -> tuple[plans.SetPlan, list[plans.Point]]:

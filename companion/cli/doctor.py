@@ -258,6 +258,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, *, last: bool = True) -> int:
     """Run the command and return its exit code; unless it is the last, another one says what to do next."""
     logging.basicConfig(level=logging.ERROR)  # that a link does not open is a finding, not news
+    _refuse(args)
+    if args.undo:
+        return undo(args)
+    if args.write and not any((args.log, args.link, args.config, args.snapshot)):
+        return _write_defaults(args)
+    snapshot = _snapshot(args)
+    if args.save:
+        with file_errors(f"--save {args.save}"):
+            write_whole(args.save, encode(snapshot))
+    found = diagnose(snapshot)
+    autopilot = snapshot.autopilot
+    if args.write and autopilot is not None:
+        write_parameters_file(args.write, autopilot.stack, wanted_of(found), autopilot.system)
+    if args.json:
+        _print_json(snapshot, found)
+    else:
+        sys.stdout.write(_page(snapshot, found) + (_next(args, found) if last and not args.fix else ""))
+    if args.fix:
+        return fix(args, snapshot, found)
+    if args.write and autopilot is None:
+        _say(args, _NONE_EXAMINED)
+    return _code(found, set())
+
+
+def _refuse(args: argparse.Namespace) -> None:
+    """Refuse options that do not go together by `BadInput`."""
     writes = "--fix" if args.fix else "--undo" if args.undo else ""
     refuse_any(
         (args.fix and args.undo, "--fix and --undo do not go together"),
@@ -269,37 +295,18 @@ def run(args: argparse.Namespace, *, last: bool = True) -> int:
         (not 0 <= (args.ship_speed or 0) <= 15, f"--ship-speed must lie in 0 to 15 m/s, got {args.ship_speed}"),
         (args.log is not None and writes, "a log cannot be fixed: examine the autopilot with --link URL --fix"),
     )
-    if args.undo:
-        return undo(args)
-    if args.write and not (args.log or args.link or args.config or args.snapshot):
-        return _write_defaults(args)
-    snapshot = _snapshot(args)
-    speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
-    moving = snapshot.moving_pad and not args.still_pad
-    snapshot = structs.replace(snapshot, moving_pad=moving, ship_speed_m_s=speed_m_s)
-    if args.save:
-        with file_errors(f"--save {args.save}"):
-            write_whole(args.save, encode(snapshot))
-    found = diagnose(snapshot)
-    autopilot = snapshot.autopilot
-    if args.write and autopilot is not None:
-        write_parameters_file(args.write, autopilot.stack, wanted_of(found), autopilot.system)
-    if args.json:
-        for finding in found:
-            sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
-        for one in snapshot.service.ship_sources:
-            sys.stdout.write(json.dumps({"source": one.name} | structs.asdict(one)) + "\n")
-        for name, (value, default) in _differs(snapshot).items():
-            sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
-        for what, line in _unused(snapshot.autopilot):
-            sys.stdout.write(json.dumps({"unused": line, "why": what}) + "\n")
-    else:
-        sys.stdout.write(_page(snapshot, found) + (_next(args, found) if last and not args.fix else ""))
-    if args.fix:
-        return fix(args, snapshot, found)
-    if args.write and autopilot is None:
-        _say(args, _NONE_EXAMINED)
-    return 1 if any(f.severity is not Severity.ADVICE for f in found) else 0
+
+
+def _print_json(snapshot: Snapshot, found: Sequence[Finding]) -> None:
+    """Print an object a line for each finding, source, difference and line that was not read."""
+    for finding in found:
+        sys.stdout.write(json.dumps(asdict(finding) | {"severity": finding.severity.name.lower()}) + "\n")
+    for one in snapshot.service.ship_sources:
+        sys.stdout.write(json.dumps({"source": one.name} | structs.asdict(one)) + "\n")
+    for name, (value, default) in _differs(snapshot).items():
+        sys.stdout.write(json.dumps({"differs": name, "value": value, "default": default}) + "\n")
+    for what, line in _unused(snapshot.autopilot):
+        sys.stdout.write(json.dumps({"unused": line, "why": what}) + "\n")
 
 
 def _next(args: argparse.Namespace, found: Sequence[Finding]) -> str:
@@ -326,6 +333,12 @@ def _write_defaults(args: argparse.Namespace) -> int:
 
 
 def _snapshot(args: argparse.Namespace) -> Snapshot:
+    snapshot = _gathered(args)
+    speed_m_s = snapshot.ship_speed_m_s if args.ship_speed is None else args.ship_speed
+    return structs.replace(snapshot, moving_pad=snapshot.moving_pad and not args.still_pad, ship_speed_m_s=speed_m_s)
+
+
+def _gathered(args: argparse.Namespace) -> Snapshot:
     if args.log is None:
         return _saved(args.snapshot) if args.snapshot else event_loop.run(_examined(args))
     if args.link or args.config or args.broker or args.snapshot:

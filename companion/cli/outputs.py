@@ -110,25 +110,38 @@ def check_output(path: Path, kind: Kind, named: str, read: list[Path], *, force:
     if kind.inside is not None and path.suffix.lower() not in kind.endings:
         with refused(f"{named} {path}", OSError):
             for there in sorted({there for pattern in kind.inside for there in path.glob(pattern)}):
-                check_output(there, kind._replace(endings=(), inside=None), named, read, force=force)
+                _check_file(there, kind._replace(endings=(), inside=None), named, read, force=force)
             with tempfile.TemporaryFile(dir=next(folder for folder in (path, *path.parents) if os.path.lexists(folder))):
                 return
+    _check_file(path, kind, named, read, force=force)
+
+
+def _check_file(path: Path, kind: Kind, named: str, read: list[Path], *, force: bool) -> None:
+    """Check a file to write as `check_output` does."""
     if kind.endings and path.suffix.lower() not in kind.endings:
         raise BadInput(f"{named} {path}: the name of a {kind.name} must end in {' or '.join(kind.endings)}")
     for source in read:
-        if source == path or (path.exists() and source.exists() and os.path.samefile(source, path)):
+        if _is_same(source, path):
             raise BadInput(f"{named} {path}: it is {source}, which is read: name another file")
     with refused(f"{named} {path}", OSError):
         if not kind.endings and path.is_char_device():
             return
         if path.exists() or path.is_symlink():
-            if not path.is_file() or not (force or any(mark in path.read_bytes() for mark in kind.marks)) or kind.lasting:
+            if not (path.is_file() and (force or _is_ours(path, kind))) or kind.lasting:
                 cure = "name a new one" if kind.lasting or not path.is_file() else "--force replaces it, or name a new one"
                 raise BadInput(f"{named} {path}: there is a file of that name already: {cure}")
             with path.open("r+b"):
                 return
         with tempfile.TemporaryFile(dir=path.parent):
             pass
+
+
+def _is_ours(path: Path, kind: Kind) -> bool:
+    return any(mark in path.read_bytes() for mark in kind.marks)
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    return one == other or (one.exists() and other.exists() and os.path.samefile(one, other))
 
 
 def _read_by(args: argparse.Namespace) -> list[Path]:

@@ -179,8 +179,8 @@ def run(args: argparse.Namespace) -> int:
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
-    blind = "a replay that searches no frames"
-    if args.set or args.config:
+    blind, changed = "a replay that searches no frames", bool(args.set or args.config)
+    if changed:
         places = {"a replay": True, "a replay without --mavlink": not args.mavlink, blind: args.sightings}
         warn_of_idle([settings], [*args.set, *_otherwise(recording, args.config)], places)
     if args.realtime:
@@ -197,29 +197,38 @@ def run(args: argparse.Namespace) -> int:
     warn_of_idle([], args.set, {blind: not searched and not args.sightings})
     if not args.json:
         recording.watch = WorkProgress(f"comparing with the estimates in {recording.name}", "kB").take
-    others = {"the recording": recorded_beliefs(recording)}
-    if args.against is not None:
-        others[args.against] = passes[1].beliefs
+    others = {"the recording": recorded_beliefs(recording), **{one.name: one.beliefs for one in passes[1:]}}
     if args.compare is not None:
-        beside = open_recording([args.compare])
-        of = [one.metadata.get("flight", {}) for one in (recording, beside)]
-        if of[0] != of[1] and not any("of" in flight for flight in of):
-            sys.stderr.write(f"decklander: {args.compare} is of another flight than {recording.name}\n")
-        others[str(args.compare)] = recorded_beliefs(beside)
+        others[str(args.compare)] = _beliefs_beside(recording, args.compare)
     compared = {name: differences(passes[0].beliefs, beliefs) for name, beliefs in others.items()}
-    if args.report is not None:
-        images = {event.record.seq: event.image for event in recording.events() if isinstance(event, RecordedFrame)}
-        for i, done in enumerate(passes):
-            done.log.add_images(images)
-            folder = args.report if i == 0 else args.report / "against"
-            with writing(folder / PAGE, quiet=args.json) as watch:
-                write_report(_finished(done, compared), folder, watch)
-    report = [] if args.report is None else [written(args.report / PAGE)]
-    lossy = " (frames kept as JPEG or video: expected)" if searched and not (args.set or args.config) else ""
+    report = [] if args.report is None else [_reported(args, recording, passes, compared)]
+    lossy = " (frames kept as JPEG or video: expected)" if searched and not changed else ""
     print_result(
         args, _as_json(recording, passes, compared), "\n".join([*_in_words(recording, passes, compared, lossy), *report])
     )
     return 0
+
+
+def _reported(
+    args: argparse.Namespace, recording: Recording, passes: Sequence[Pass], compared: dict[str, list[Difference]]
+) -> str:
+    """Write a report of each pass, and return the line that says where the first one is."""
+    images = {event.record.seq: event.image for event in recording.events() if isinstance(event, RecordedFrame)}
+    for i, done in enumerate(passes):
+        done.log.add_images(images)
+        folder = args.report if i == 0 else args.report / "against"
+        with writing(folder / PAGE, quiet=args.json) as watch:
+            write_report(_finished(done, compared), folder, watch)
+    return written(args.report / PAGE)
+
+
+def _beliefs_beside(recording: Recording, path: Path) -> Beliefs:
+    """Return the estimates of another recording; say so where it is of another flight."""
+    beside = open_recording([path])
+    of = [one.metadata.get("flight", {}) for one in (recording, beside)]
+    if of[0] != of[1] and not any("of" in flight for flight in of):
+        sys.stderr.write(f"decklander: {path} is of another flight than {recording.name}\n")
+    return recorded_beliefs(beside)
 
 
 def _otherwise(recording: Recording, config: str | None) -> list[str]:

@@ -76,27 +76,12 @@ def run(args: argparse.Namespace) -> int:
     check_seed(args)
     perception = perception_level(args.perception)
     flight_options.choose_vehicle(args)
-    follows, beside = args.follow is not None, args.autopilot is not None
-    of_program = args.binary is not None or args.keep is not None or args.physics != "ours"
-    with_program = of_program or args.param or args.unaided
-    program = "--binary, --physics, --param, --unaided"
-    refuse_any(
-        (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
-        (args.set and follows, "--set does not go with --follow"),
-        (args.pad is not None and follows, "--pad does not go with --follow"),
-        (args.pad is not None and any("pad.file=" in one for one in args.set), "--pad sets pad.file: give one of them"),
-        (args.faults and follows, "--faults does not go with --follow"),
-        (args.faults and args.binary, "--faults does not go with --binary: a program flies few of the faults"),
-        (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
-        (with_program and not beside, f"{program} and --keep go with --autopilot"),
-        (of_program and args.binary is None, "--physics own and --keep go with --binary PATH, a program"),
-        (args.autopilot == "arduplane" and args.binary is None, "--autopilot arduplane needs --binary PATH (docs/sitl.md)"),
-    )
+    _refuse(args, perception)
     if args.pad is not None:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
-    if follows:
+    if args.follow is not None:
         return run_follow(args)
-    if beside:
+    if args.autopilot is not None:
         return run_autopilot(args, perception)
     scenario = load_scenario(args.scenario, args.base)
     settings = settings_for(scenario, args.config)
@@ -115,6 +100,26 @@ def run(args: argparse.Namespace) -> int:
     words = f"{ending.in_words()}\n{ending.duration_s:.1f} s flown in {wall_s:.1f} s ({pace:.1f} x real time)\n{report}"
     print_result(args, ending.as_json(), words)
     return 0 if ending.good and not kept.incomplete else 1
+
+
+def _refuse(args: argparse.Namespace, perception: Level) -> None:
+    """Refuse options that do not go together by `BadInput`."""
+    follows, beside = args.follow is not None, args.autopilot is not None
+    of_program = (args.binary, args.keep, args.physics) != (None, None, "ours")
+    with_program = of_program or args.param or args.unaided
+    program = "--binary, --physics, --param, --unaided"
+    refuse_any(
+        (args.perception_model and perception == "pixels", "--perception-model goes with --perception model or truth"),
+        (args.set and follows, "--set does not go with --follow"),
+        (args.pad is not None and follows, "--pad does not go with --follow"),
+        (args.pad is not None and any("pad.file=" in one for one in args.set), "--pad sets pad.file: give one of them"),
+        (args.faults and follows, "--faults does not go with --follow"),
+        (args.faults and args.binary, "--faults does not go with --binary: a program flies few of the faults"),
+        (follows and (beside or with_program), f"--follow does not go with --autopilot, {program} or --keep"),
+        (with_program and not beside, f"{program} and --keep go with --autopilot"),
+        (of_program and args.binary is None, "--physics own and --keep go with --binary PATH, a program"),
+        (args.autopilot == "arduplane" and args.binary is None, "--autopilot arduplane needs --binary PATH (docs/sitl.md)"),
+    )
 
 
 def run_autopilot(args: argparse.Namespace, perception: Level) -> int:

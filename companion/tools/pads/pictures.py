@@ -248,31 +248,13 @@ def _sampled(line: F64) -> tuple[F64, F64]:
 
 def _shown(pad: Pad, borders: Sequence[Border], k: int, found: Sequence[Found]) -> dict[str, Any]:
     """Return what pictures show of a border: in how many it is as in the file, reversed, judged; elsewhere; and what to do."""
-
-    def counted(k: int) -> tuple[int, int, int]:
-        shares = [share for one in found if (share := one.shows(k)) is not None]
-        return sum(share >= _SHOWN for share in shares), sum(share <= -_SHOWN for share in shares), len(shares)
-
-    border, (shown, against, of), judged = borders[k], counted(k), [one for one in found if one.shows(k) is not None]
-    found_at, advice = None, ""
-    if judged and 2 * against <= of:
-        # What is seen at the size of another border that shows is that border.
-        others = [i for i, other in enumerate(borders) if border.key and other.key and i != k and 2 * counted(i)[0] > of]
-        apart_m = max(_APART_PX * one.pose.range_m / one.camera.fx for one in judged)
-        most = _DOUBTED if 2 * shown > of else math.inf
-        tried = [s for s in _SIZES if abs(math.log(s)) < most]
-        tried = [1.0, *(s for s in tried if all(abs(s * border.size_m - borders[i].size_m) > apart_m for i in others))]
-        by_size = []
-        for size in tried:
-            shares = [share for one in judged if (share := one.shows(k, size)) is not None]
-            is_there = 2 * len(shares) > of and np.median(shares) >= _SHOWN
-            by_size.append(float(np.median([one.follows(k, size).mean() for one in judged])) if is_there else 0.0)
-        best = int(np.argmax(by_size))
-        if by_size[best] > _BETTER * by_size[0] and abs(tried[best] - 1.0) > _NEAR:
-            found_at = tried[best]
-        elif by_size[best] > 0.0 and 2 * shown <= of:
-            shown = of
-    region, is_shown = pad.regions[border.region], 2 * shown > of
+    border, region = borders[k], pad.regions[borders[k].region]
+    shown, against, of = _counted(found, k)
+    found_at, has_edge = _found_at(borders, k, found)
+    if has_edge and found_at is None and 2 * shown <= of:
+        shown = of
+    is_shown = 2 * shown > of
+    advice = ""
     if not of:
         advice = "not seen or too thin: nothing is known; take a picture from nearer that shows all of the pad"
     elif 2 * against > of:
@@ -292,6 +274,41 @@ def _shown(pad: Pad, borders: Sequence[Border], k: int, found: Sequence[Found]) 
         "region": border.region, "part": part_of(region), "key": border.key, "size_m": round(border.size_m, 4), "shown": shown,
         "reversed": against, "of": of, "is_shown": is_shown, "shown_at_m": shown_at_m, "advice": advice,
     }  # fmt: skip
+
+
+def _counted(found: Sequence[Found], k: int) -> tuple[int, int, int]:
+    """Return in how many pictures a border is as in the file, in how many reversed, and how many were judged."""
+    shares = [share for one in found if (share := one.shows(k)) is not None]
+    return sum(share >= _SHOWN for share in shares), sum(share <= -_SHOWN for share in shares), len(shares)
+
+
+def _judging(found: Sequence[Found], k: int) -> list[Found]:
+    return [one for one in found if one.shows(k) is not None]
+
+
+def _follows(judged: Sequence[Found], k: int, size: float) -> float:
+    """Return how well pictures that judge a border follow it at a factor of its size; 0 if most show no edge there."""
+    shares = [share for one in judged if (share := one.shows(k, size)) is not None]
+    is_there = 2 * len(shares) > len(judged) and np.median(shares) >= _SHOWN
+    return float(np.median([one.follows(k, size).mean() for one in judged])) if is_there else 0.0
+
+
+def _found_at(borders: Sequence[Border], k: int, found: Sequence[Found]) -> tuple[float | None, bool]:
+    """Return the factor of a border's size at which pictures show it better, and whether they show it at any size."""
+    border, judged = borders[k], _judging(found, k)
+    shown, against, of = _counted(found, k)
+    if not judged or 2 * against > of:
+        return None, False
+    # What is seen at the size of another border that shows is that border.
+    others = [i for i, one in enumerate(borders) if border.key and one.key and i != k and 2 * _counted(found, i)[0] > of]
+    apart_m = max(_APART_PX * one.pose.range_m / one.camera.fx for one in judged)
+    most = _DOUBTED if 2 * shown > of else math.inf
+    near = [s for s in _SIZES if abs(math.log(s)) < most]
+    tried = [1.0, *(s for s in near if all(abs(s * border.size_m - borders[i].size_m) > apart_m for i in others))]
+    by_size = [_follows(judged, k, size) for size in tried]
+    best = int(np.argmax(by_size))
+    is_elsewhere = by_size[best] > _BETTER * by_size[0] and abs(tried[best] - 1.0) > _NEAR
+    return tried[best] if is_elsewhere else None, by_size[best] > 0.0
 
 
 def lines(checked: Mapping[str, Any]) -> Iterator[str]:
