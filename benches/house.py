@@ -34,6 +34,8 @@ PARAMETERS_MAX = 8
 HELPERS_MAX = 3
 FLYING = "estimator/core/decklander.h"
 HEADERS = (FLYING, "sitl/core/decklander_sim.h")
+_BARRED = {"companion.parts.mavlink.bridge"}
+"""Parts of the service that an autopilot bars (`AutopilotOptions.barred`)."""
 EXPERT = "## Expert keys"
 """The heading of docs/configuration.md below which the keys of experts stand."""
 
@@ -291,7 +293,7 @@ def lines_of_run(tree: Tree) -> int:
     Rows of tables that such a run does not load are left out: other vehicles, cameras, methods and paths, and the page's tools.
     """
     named = re.findall(r'"(companion[\w.]+):\w+"', tree.texts["companion/service/parts.py"])
-    starts = {"companion.cli.run", "companion.parts.mavlink.make", "drivers.camera.v4l2", *named}
+    starts = {"companion.cli.run", "companion.parts.mavlink.make", "drivers.camera.v4l2", *named} - _BARRED
     return sum(tree.lines_of[name] for name in starts.union(*(reached(tree.imports, start) for start in starts)))
 
 

@@ -107,8 +107,8 @@ def written(page: Path) -> str:
     return f"report: {page} ({page.stat().st_size / 1e6:.1f} MB, one file; open it in a browser)\n"
 
 
-def require_drawing(option: str, instead: str = "") -> None:
-    """Refuse an option that draws where matplotlib is not installed; `instead` says what the person can do without it.
+def require_drawing(option: str) -> None:
+    """Refuse an option that draws where matplotlib is not installed.
 
     Raises:
         BadInput: matplotlib is not installed; the message says how to install it.
@@ -116,7 +116,7 @@ def require_drawing(option: str, instead: str = "") -> None:
     if find_spec("matplotlib") is None:
         raise BadInput(
             f"{option} draws with matplotlib, which is not installed: in a checkout "
-            f".venv/bin/pip install --require-hashes -r requirements/report.txt, else the extra decklander[report]{instead}"
+            f".venv/bin/pip install --require-hashes -r requirements/report.txt, else the extra decklander[report]"
         )
 
 

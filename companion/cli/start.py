@@ -50,6 +50,7 @@ PLACES = {"indoors": "a hall, lamps", "outdoors": "daylight, a pad ashore", "shi
 _USUAL_LINK, _USUAL_CAMERA = "serial:///dev/ttyAMA0:921600", "usb_640x480"
 _UDP_PORTS = (14550, 14540)
 _SPEEDS = (921600, 57600, 115200)
+_IDENTIFIED_S = 1.5  # time in which an autopilot on a link is recognized
 _FLIP_S = 20.0  # time that an operator has to flip the switch
 _STACKS = {"ArduPilot": "ardupilot", "PX4": "px4"}
 _UNIT_FOLDER, _UNIT_STORE = Path("/etc/decklander"), Path("/etc/credstore")
@@ -173,10 +174,10 @@ def _camera(ask: Ask) -> str:
     return ask("camera", names, next(iter(names)))
 
 
-async def _stack_at(options: AutopilotOptions, seconds: float = 1.5) -> str:
+async def _stack_at(options: AutopilotOptions) -> str:
     """Return the stack of the autopilot that sends on a link; empty if none does."""
     async with open_autopilot(options, SystemClock()) as autopilot:
-        await wait_until(SystemClock(), seconds, lambda: autopilot.identity is not None)
+        await wait_until(SystemClock(), _IDENTIFIED_S, lambda: autopilot.identity is not None)
         return "" if autopilot.identity is None else autopilot.identity.stack.value
 
 

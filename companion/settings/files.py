@@ -20,12 +20,11 @@ _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """The packings that unpack in bounded steps. Four kilobytes of bzip2 may hold gigabytes, and zipfile unpacks them at once."""
 
 
-def unzipped(path: Path, largest: int, wanted: Callable[[str], bool] = lambda _: True) -> dict[str, bytes]:
+def unzipped(path: Path, largest: int) -> dict[str, bytes]:
     """Return files of a zip archive by name; their sizes are summed before any memory is taken for them.
 
     Args:
         largest: most bytes of all of them together.
-        wanted: whether a file of this name is read.
 
     Raises:
         OSError: the archive cannot be read.
@@ -33,7 +32,7 @@ def unzipped(path: Path, largest: int, wanted: Callable[[str], bool] = lambda _:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            entries = [entry for entry in archive.infolist() if wanted(entry.filename)]
+            entries = archive.infolist()
             size = sum(entry.file_size for entry in entries)
             if size > largest:
                 raise ValueError(f"its files unpack to {size} bytes, and at most {largest} are read")

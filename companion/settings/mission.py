@@ -210,7 +210,7 @@ class TryOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         Literal["operator", "automatic"],
         choice(
             "who decides when the pad is seen in a place that no motion explains: the operator, by beginning again; or, once a "
-            "flight and only above safe_height_m, another_pad_s of unbroken sight of one pad alone",
+            "flight and only above safe_height_m, 5 s of unbroken sight of one pad alone",
             public=True,
         ),
     ] = "operator"

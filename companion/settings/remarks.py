@@ -154,7 +154,6 @@ _RULES = (
     ),
     _Rule("guidance.tries.another_pad_s", _is("guidance.tries.another_pad", "operator")),
     _Rule("recorder.jpeg_quality", _is_not("recorder.frames", "jpeg")),
-    _Rule("recorder.frames_each", _is("recorder.frames", "none")),
 )
 """The first rule that holds explains a key."""
 

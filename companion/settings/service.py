@@ -25,7 +25,6 @@ class RecorderOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
             page=True,
         ),
     ] = "jpeg"
-    frames_each: Annotated[int, tuning("keep the frame of each n-th frame only", "frames", 1, 1000)] = 1
     jpeg_quality: Annotated[int, tuning("quality of JPEG frames", "1", 50, 100)] = 90
     max_file_mb: Annotated[float, tuning("a file that is larger ends, and a new one begins", "MB", 1.0, 100_000.0)] = 500.0
     max_file_s: Annotated[float, tuning("a file that is longer ends, and a new one begins", "s", 1.0, 86_400.0)] = 600.0

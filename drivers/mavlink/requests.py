@@ -23,6 +23,8 @@ _PAUSE_MAX_S = 30.0
 """The longest pause between two requests for the same."""
 _SILENT_S = 5.0
 """The first pause for a parameter that counts as absent."""
+_RETRY_S = 0.5  # time after which an unanswered request is repeated
+_WINDOW_S = 3.0  # time over which arrivals are counted; ten intervals if that is longer
 _REFUSED_TRIES = 3
 """The requests without an answer that a refusal counts as."""
 _ENOUGH = 0.5
@@ -140,15 +142,13 @@ class Streams:
 
     Args:
         rates_hz: rate by message name, Hz.
-        retry_s: time after which an unanswered request is repeated, s.
         tries: number of requests after which a message counts as unanswered, and the pauses grow.
-        window_s: time over which arrivals are counted, s; ten intervals if that is longer.
     """
 
-    def __init__(self, rates_hz: Mapping[str, float], *, retry_s: float = 0.5, tries: int = 4, window_s: float = 3.0) -> None:
+    def __init__(self, rates_hz: Mapping[str, float], *, tries: int = 4) -> None:
         self._streams = {name: _Stream(1.0 / rate) for name, rate in rates_hz.items()}
         self._ids = {name: message_id(name) for name in rates_hz}
-        self._retry_s, self._tries, self._window_s = retry_s, tries, window_s
+        self._tries = tries
         self._waiting: str | None = None
         self._polled: MonoNs | None = None
 
@@ -194,7 +194,7 @@ class Streams:
     def _requests(self, now: MonoNs, target: tuple[int, int]) -> list[Message]:
         if self._waiting is not None:
             waiting = self._streams[self._waiting]
-            if waiting.asked is not None and seconds_between(waiting.asked, now) < self._retry_s:
+            if waiting.asked is not None and seconds_between(waiting.asked, now) < _RETRY_S:
                 return []
             self._waiting = None
         for name, stream in self._streams.items():
@@ -217,7 +217,7 @@ class Streams:
         if stream.share is None and stream.result == _ACCEPTED:
             return False
         enough = stream.share is not None and stream.share >= _ENOUGH
-        return not enough and _pause_over(stream.asked, now, self._retry_s, stream.tries - self._tries)
+        return not enough and _pause_over(stream.asked, now, _RETRY_S, stream.tries - self._tries)
 
     def on_message(self, message: Message, received_at: MonoNs) -> None:
         """Process any message of the autopilot that is not for another program: note acknowledgements and arrivals."""
@@ -242,7 +242,7 @@ class Streams:
         if stream.since is None:
             stream.since, stream.count = now, 0
         lasted_s = seconds_between(stream.since, now)
-        if lasted_s < max(self._window_s, 10.0 * stream.interval_s):
+        if lasted_s < max(_WINDOW_S, 10.0 * stream.interval_s):
             return
         stream.share = stream.count * stream.interval_s / lasted_s
         if stream.share >= _ENOUGH:
@@ -308,13 +308,11 @@ class Parameters:
         stack: the autopilot's stack. ArduPilot sends an integer as its value in a float, PX4 as its bytes in a float.
     """
 
-    def __init__(
-        self, stack: Stack, names: Iterable[str] = (), *, retry_s: float = 0.5, tries: int = 4, at_once: int = 4
-    ) -> None:
+    def __init__(self, stack: Stack, names: Iterable[str] = (), *, tries: int = 4, at_once: int = 4) -> None:
         self._stack = stack
         self._wanted: deque[str] = deque(dict.fromkeys(names))
         self._asked: dict[str, tuple[MonoNs, int]] = {}
-        self._retry_s, self._tries, self._at_once = retry_s, tries, at_once
+        self._tries, self._at_once = tries, at_once
         self.values: dict[str, float] = {}
         """Every parameter that the autopilot sent, requested or not."""
         self.kinds: dict[str, int] = {}
@@ -346,7 +344,7 @@ class Parameters:
         """Return the requests to send now."""
         out = []
         for name, (at, tries) in list(self._asked.items()):
-            if seconds_between(at, now) < self._retry_s:
+            if seconds_between(at, now) < _RETRY_S:
                 continue
             if tries >= self._tries:
                 self._silent[name] = self._asked.pop(name)

@@ -106,7 +106,6 @@ class Recorder:
         """Time when the thread began with its present record; None while it waits for one."""
         self._hanging: int | None = None
         """The number of records dropped before the disk hung; None while it does not."""
-        self._seen = 0
         self._paused = False
         self._unflushed = 0
         self._state = RecorderState.IDLE
@@ -187,8 +186,7 @@ class Recorder:
     def on_frame(self, processed: ProcessedFrame) -> None:
         if self.rests:
             return
-        self._seen += 1
-        keep = self._options.frames != "none" and (self._seen - 1) % self._options.frames_each == 0
+        keep = self._options.frames != "none"
         if keep and not self._frames_waiting.acquire(blocking=self._lossless):
             self.dropped["frame"] += 1
             keep = False

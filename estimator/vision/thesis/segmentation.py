@@ -24,6 +24,7 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 Triple = tuple[int, int, int]
 
+_ENOUGH = 1500  # Values of a mask that tell as much as all of them
 _MOST_COMPONENTS = 6  # White components that are looked at
 _FAINT_PX = 24  # Widest disc that may consist only of mixed pixels
 _FAINT_SATURATION = 30  # Saturation below which grey is taken for faint paint
@@ -288,8 +289,8 @@ def _quantile(values: F32, fraction: float) -> float:
     return float(np.partition(values, k)[k])
 
 
-def _under(channel: F32, mask: U8, enough: int = 1500) -> F32:
+def _under(channel: F32, mask: U8) -> F32:
     """Return the values under a mask; a large mask is thinned to every n-th row and column."""
-    step = max(1, int(np.sqrt(cv2.countNonZero(mask) / enough)))
+    step = max(1, int(np.sqrt(cv2.countNonZero(mask) / _ENOUGH)))
     thin = np.s_[::step, ::step]
     return np.asarray(channel[thin][mask[thin] > 0])
