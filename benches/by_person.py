@@ -34,9 +34,10 @@ from companion.base.mission import State
 from companion.base.observer import Decision, NullObserver
 from sitl.emulators.autopilots.stand_in.flight import StackName, StandInFlight
 from sitl.faults.kinds import AnyFault, LensCovered, OperatorActs
-from sitl.flight.one_flight import FlyOptions, fly, settings_for
+from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import Scenario, load
+from sitl.scenario.settings import settings_for
 
 VEHICLES = ("ardrone", "arducopter", "px4")
 SPEEDS_M_S, HEIGHTS_M = (0.0, 1.5, 5.0), (1.0, 3.0, 5.0)

@@ -27,12 +27,12 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
     "ROS 2": ("companion/cli/ros2.py", "companion/tools/ros2/", "drivers/camera/ros2.py", "drivers/ros2.py"),
     "Foxglove": ("companion/parts/live/",),
     "gamepad": ("companion/cli/gamepad.py", "companion/parts/gamepad/", "drivers/gamepad/"),
-    "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "sitl/perception/", "study/"),
+    "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "study/perception/"),
     "pads from pictures, printing": ("companion/cli/pad.py", "companion/tools/pads/", "companion/tools/print_pad/"),
     "imports of others' files": ("companion/cli/config_import.py", "companion/tools/others_settings.py", "drivers/imports/"),
     "learned parts": (
-        "companion/cli/train.py", "companion/guidance/law/policy.py", "estimator/vision/learned/", "sitl/core/training/",
-        "study/gym/",
+        "companion/cli/train.py", "companion/guidance/law/policy.py", "companion/tools/second_opinion.py",
+        "estimator/vision/learned/", "sitl/core/training/", "study/gym/",
     ),
     "thesis": (
         "companion/cli/experiments.py", "companion/guidance/law/pid.py", "companion/guidance/thesis.py",

@@ -22,9 +22,10 @@ from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.emulators.autopilots.programs.program import executable
 from sitl.emulators.autopilots.stand_in.flight import StandInFlight
 from sitl.faults.kinds import ServiceKilled
-from sitl.flight.one_flight import perception_level, settings_for
+from sitl.flight.one_flight import perception_level
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import Scenario, load
+from sitl.scenario.settings import settings_for
 
 CASES = {
     "intercept": ServiceKilled(in_phase="intercept"),

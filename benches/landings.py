@@ -33,10 +33,11 @@ from companion.guidance.pilot import Pilot
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import NS_PER_S, MonoNs
-from sitl.campaign.plan import Overridable
 from sitl.faults.kinds import LensCovered
-from sitl.flight.one_flight import FlyOptions, fly, settings_for
+from sitl.flight.one_flight import FlyOptions, fly
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from sitl.world.truth import Truth
 
 Ways = Mapping[str, Sequence[str]]

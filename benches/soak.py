@@ -38,9 +38,10 @@ from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable, SetupImpossible
 from estimator.contracts.estimates import Verdict
 from sitl.flight.ending import AtEnd, Grade, Load, grade
-from sitl.flight.one_flight import FlyOptions, fly, settings_for
+from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario, load
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import faulty
 
 GROWTH_MAX = 0.01

@@ -23,8 +23,9 @@ from companion.guidance.law.gains import regulator, riccati
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import fly
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 
 F64 = NDArray[np.float64]
 Q, R = np.diag([0.3, 4.0, 1.0]), np.array([[0.6]])  # costs of the integral, m s; the place, m; the speed, m/s; the lean, m/s^2

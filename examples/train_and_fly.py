@@ -10,8 +10,9 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from companion.settings.load import response_model
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import fly
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from study.gym.imitation import AS_HANDED_OVER, Imitation
 from study.gym.training import TrainingWorlds
 

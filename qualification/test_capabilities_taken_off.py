@@ -16,6 +16,7 @@ from benches.house_counts import OWNERS
 ROOT = Path(__file__).parents[1]
 REMOVABLE = (
     "MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires", "imports of others' files", "pads from pictures, printing",
+    "campaigns and studies", "learned parts",
 )  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 TESTS = {"imports of others' files": ("tests/companion/test_config_import.py",)}
@@ -80,6 +81,8 @@ def tree(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     for path in {*kept_without(request.param), *(str(path.relative_to(ROOT)) for path in built)}:
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / path, folder / path)
+    if any(path.startswith(BUILT) for path in OWNERS[request.param]):
+        ran_in(folder, "-m", "supply.core", "libraries")
     return folder
 
 

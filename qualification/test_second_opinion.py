@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.settings.referenced_files import SHIPPED_NETWORK, second_opinion
+from companion.tools.second_opinion import SHIPPED_NETWORK, second_opinion
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.samples import Frame

@@ -31,11 +31,12 @@ from estimator.contracts.samples import Sample
 from estimator.contracts.time import MonoNs
 from sitl.ardrone.flight import Flight
 from sitl.flight.ending import Ending
-from sitl.flight.one_flight import FlyOptions, fly, settings_for
+from sitl.flight.one_flight import FlyOptions, fly
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level
 from sitl.scenario.scenario import Scenario, from_mapping
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from tests.make import change
 
 STEP_S = 0.005

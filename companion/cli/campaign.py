@@ -29,10 +29,12 @@ from sitl.campaign.report import AXES, MAP, REPORT, render_map, render_report
 from sitl.campaign.store import FLIGHTS, FolderStore, flights_in, fly_left, manifest_of, manifest_of_plan, wall_s_in
 from sitl.campaign.workers import ClusterWorkers, Flight, Flyer, LocalWorkers, fly_flight, job_of
 from sitl.faults.carried import refuse_others
-from sitl.flight.one_flight import perception_level, settings_for
+from sitl.flight.one_flight import perception_level
 from sitl.perception.levels import perceive
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import with_random_faults
 
 _RUNS = 100  # runs where none are given
@@ -173,7 +175,7 @@ def _set_plan(args: argparse.Namespace) -> tuple[plans.SetPlan, list[plans.Point
     return plans.SetPlan(args.scenario, chosen.title, members, (*base, *_options(args)), places), [()]
 
 
-def _plan(args: argparse.Namespace) -> tuple[plans.CampaignPlan, plans.Overridable]:
+def _plan(args: argparse.Namespace) -> tuple[plans.CampaignPlan, Overridable]:
     args.perception = args.perception or "pixels"
     try:
         scenario = load_scenario(args.scenario)
@@ -184,14 +186,14 @@ def _plan(args: argparse.Namespace) -> tuple[plans.CampaignPlan, plans.Overridab
     return _plan_of(args, args.scenario, scenario, args.perception)
 
 
-def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[plans.CampaignPlan, plans.Overridable]:
+def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str) -> tuple[plans.CampaignPlan, Overridable]:
     perception = perception_level(level)
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
     beside = args.autopilot is not None
     settings = settings_for(scenario, args.config, by_autopilot=beside)
-    given = plans.Overridable(scenario, settings, by_autopilot=beside)
+    given = Overridable(scenario, settings, by_autopilot=beside)
     scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
     RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
     if beside:
@@ -199,7 +201,7 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
     if beside:
         plan = replace(plan, design=plans.described(f"stand-in of {args.autopilot}", []))
-    return plan, plans.Overridable(scenario, settings)
+    return plan, Overridable(scenario, settings)
 
 
 def _options(args: argparse.Namespace) -> Iterator[str]:
@@ -212,7 +214,7 @@ def _options(args: argparse.Namespace) -> Iterator[str]:
 
 
 def _design(
-    args: argparse.Namespace, plan: plans.CampaignPlan, given: plans.Overridable
+    args: argparse.Namespace, plan: plans.CampaignPlan, given: Overridable
 ) -> tuple[plans.CampaignPlan, list[plans.Point]]:
     """Return the plan with its design, and the points at which all seeds are flown."""
     if args.faults is not None:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from companion.cli.options import named_wait, option, tell_damage
 from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
+from companion.settings.capabilities import ReadOpinion, offered
 from companion.settings.load import SHIPPED, find_file, mount_assumed, pad_of_file, read_camera
-from companion.settings.referenced_files import second_opinion
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
 from drivers.camera import images
@@ -155,7 +155,10 @@ def run(args: argparse.Namespace) -> int:
         sys.stderr.writelines(f"decklander: {line}\n" for line in lines)
     tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
-    asked = None if args.second_opinion is None else second_opinion(args.second_opinion, "--second-opinion")
+    asked = None
+    if args.second_opinion is not None:
+        read: ReadOpinion = offered("opinions", "second_opinion", "--second-opinion")
+        asked = read(args.second_opinion, "--second-opinion")
     drawings = {} if args.draw is None else _drawings(args.draw, files, force=args.force)
     counts, unreadable = _Counts(), 0
     if not args.json:

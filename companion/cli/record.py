@@ -24,7 +24,7 @@ from companion.parts.recorder.folder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
-from companion.settings.capabilities import importer_of, is_offered, offered
+from companion.settings.capabilities import importer_of, names_offered, offered
 from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
 from drivers.file_kinds import DECRYPT, FileKind, kind_of
@@ -206,7 +206,7 @@ class _Source(Struct, frozen=True):
             return iter(self.importer.read(file))
         if kind is FileKind.NETWORK:
             return iter(_ship_reader(path, kind).read(path, self.note))
-        if not is_offered("importers", kind.name):
+        if kind.name not in names_offered("importers"):
             raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
         read: Read = offered("importers", kind.name, f"{path}: {kind.value}")
         return iter(read(file))

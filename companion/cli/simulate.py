@@ -23,13 +23,14 @@ from companion.settings.model import Settings
 from companion.settings.overrides import finite
 from drivers.endpoint import parse_endpoint
 from estimator.contracts.errors import BadInput
-from sitl.campaign.plan import Overridable
 from sitl.flight.ending import Ending
-from sitl.flight.one_flight import FlyOptions, fly, perception_level, settings_for
+from sitl.flight.one_flight import FlyOptions, fly, perception_level
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level, Perception
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import with_random_faults
 
 if TYPE_CHECKING:

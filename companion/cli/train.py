@@ -17,8 +17,8 @@ from companion.cli.outputs import POLICY, output
 from companion.guidance.law.policy import Policy, read_policy
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput, refused
-from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from study.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
 from study.gym.training import TrainingWorlds
 

@@ -20,6 +20,7 @@ from companion.guidance.landing import LandingGuidance, PilotOptions, alerted
 from companion.guidance.law.controllers import ControllerSetup, make_controller
 from companion.guidance.monitor import Monitor, Witnesses
 from companion.guidance.operator.arbiter import Chosen, OperatorArbiter
+from companion.settings.capabilities import ReadOpinion, offered
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
@@ -525,10 +526,9 @@ def tracker(settings: Settings) -> TrackerConfig:
     """
     vision = settings.vision
     asked: SecondOpinion | None = None
-    if vision.learned == "second_opinion":
-        from companion.settings.referenced_files import second_opinion
-
-        asked = second_opinion(vision.learned_file, "vision.learned_file")
+    if vision.learned != "off":
+        read: ReadOpinion = offered("opinions", vision.learned, f'vision.learned = "{vision.learned}"')
+        asked = read(vision.learned_file, "vision.learned_file")
     limits = settings.estimator.integrity
     return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked, integrity=limits)
 

@@ -33,6 +33,11 @@ IMPORTER_GROUP = "decklander.importers"
 Reference = tuple[str, tuple[str, ...], Callable[[], object]]
 """A settings key, the files that it names, and a function that reads them; without files one that looks for packages."""
 References = Callable[[Any], Iterator[Reference]]
+ReadOpinion = Callable[[str, str], Any]
+"""Returns the second opinion (`estimator.vision.track.config`) that a file holds, or the shipped one for an empty name.
+
+The second argument is the setting or option that names the file, for errors.
+"""
 _NONE: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -91,6 +96,10 @@ class Capability(NamedTuple):
     importers: Mapping[str, str] = _NONE
     """Readers of others' files, for `record import`, by the kind of file (`FileKind`): each a `drivers.importer.Read` as
     module:object; of a ship's logs all at once, or a module."""
+    controllers: Mapping[str, str] = _NONE
+    """Controllers by the word of `guidance.controller`, each a function of a `ControllerSetup` as module:object."""
+    opinions: Mapping[str, str] = _NONE
+    """Second opinions of vision by the word of `vision.learned`: each a `ReadOpinion` as module:object."""
     histories: Mapping[str, str] = _NONE
     """Functions that read an `AutopilotLog` for `doctor`, by the kind of file, as module:object."""
 
@@ -201,9 +210,13 @@ CAPABILITIES = (
         commands={"campaign": Command("study", "companion.cli.campaign", "fly many simulated landings and summarize them")},
     ),
     Capability(
-        "the training of controllers",
+        "learned parts",
         "rl",
         "study.gym",
+        keys=("guidance.controller=policy", "vision.learned=second_opinion"),
+        references="companion.tools.second_opinion:references",
+        controllers={"policy": "companion.guidance.law.policy:make_policy"},
+        opinions={"second_opinion": "companion.tools.second_opinion:second_opinion"},
         commands={"train": Command("study", "companion.cli.train", "train a controller in the simulated sea")},
     ),
     Capability(
@@ -240,20 +253,20 @@ VEHICLES: Mapping[str, VehicleKind] = {
 }
 
 
-def is_offered(field: str, name: str) -> bool:
-    """Return whether a capability, installed or not, has a name in one of its mappings."""
-    return any(name in getattr(one, field) for one in CAPABILITIES)
+def names_offered(field: str) -> list[str]:
+    """Return the names in one of the mappings of the capabilities, installed or not."""
+    return [name for one in CAPABILITIES for name in getattr(one, field)]
 
 
 def offered(field: str, name: str, wanted: str) -> Any:
-    """Return what capabilities offer under a name in one of their mappings (`exporters`, `importers`, `histories`).
+    """Return what capabilities offer under a name in one of their mappings (such as `exporters`).
 
     Args:
         wanted: what needs it, for the error.
 
     Raises:
         BadInput: it is not installed.
-        StopIteration: no capability has it (`is_offered`).
+        StopIteration: no capability has it (`names_offered`).
     """
     capability = next(one for one in CAPABILITIES if name in getattr(one, field))
     capability.require(wanted)

@@ -1,4 +1,4 @@
-"""Read the files that settings name besides camera and pad: certificates, a network, the gamepad's mapping; and check them all.
+"""Read the files that settings name besides camera and pad: certificates, keys, and those of capabilities; and check them all.
 
 `load` reads the camera and the pad. What is checked here would be read when a link is opened, which may be in flight.
 """
@@ -9,50 +9,16 @@ import os
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from companion.settings import files
 from companion.settings.capabilities import CAPABILITIES, Reference, References
 from companion.settings.certificates import server_context
 from companion.settings.files import CREDENTIAL
-from companion.settings.load import SHIPPED
 from companion.settings.model import Settings
-from drivers.files import Largest, bytes_of
 from drivers.mavlink.options import autopilot_of
 from drivers.pyav import require_pyav
 from estimator.contracts.errors import BadInput
 from estimator.contracts.tables import imported
-
-if TYPE_CHECKING:
-    from estimator.vision.track.config import SecondOpinion
-
-
-_NETWORK = "estimator.vision.learned.second_opinion:SecondOpinion"
-"""The reader of a network, loaded where the settings name one."""
-SHIPPED_NETWORK = SHIPPED / "learned" / "second_opinion.onnx"
-
-
-def second_opinion(file: str, what: str) -> SecondOpinion:
-    """Return the network in a file; the shipped one for an empty name.
-
-    Args:
-        what: the setting or option that names the file, for errors.
-
-    Raises:
-        BadInput: the file cannot be read, is larger than 2 MB, or holds no network of this kind.
-    """
-    path = Path(file) if file else SHIPPED_NETWORK
-    cure = (
-        f"decklander is not installed completely: install it again, or name a network with {what}"
-        if not file
-        else (f"name a file that is there, or leave {what} empty for the shipped network")
-    )
-    try:
-        path.stat()
-    except OSError as why:
-        raise BadInput(f"{what}: {path}: {why.strerror or why}: {cure}") from why
-    network: SecondOpinion = imported(_NETWORK)(bytes_of(path, Largest.NETWORK, f"{what}: {path}"), f"{what}: {path}")
-    return network
 
 
 def check_files(settings: Settings, environment: Mapping[str, str] = os.environ) -> tuple[str, ...]:
@@ -89,9 +55,6 @@ def _references(settings: Settings) -> Iterator[Reference]:
     if settings.camera.source == "stream":
         device = settings.camera.device
         yield "camera.device", (device,), lambda: _require_stream(device)
-    vision = settings.vision
-    if vision.learned != "off":
-        yield ("vision.learned_file", (vision.learned_file,), lambda: second_opinion(vision.learned_file, "vision.learned_file"))
     if settings.http.endpoint != "off":
         http = settings.http
         yield "http.token_file", (http.token_file,), lambda: files.token(http.token_file, "http.token_file")

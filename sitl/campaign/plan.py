@@ -5,7 +5,6 @@ What each scenario of a set (configs/scenarios/sets) expects is written in its o
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import itertools
 import json
@@ -26,109 +25,19 @@ from companion.settings.load import SHIPPED, read_toml, shipped
 from companion.settings.load import camera_model as camera_of_settings
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.load import pad_model as pad_of_settings
-from companion.settings.model import EXPERT, Settings
-from companion.settings.overrides import NOTHING, Value, finite, key_and_text, leaf, leaves, nearest, plain, put, value_like
+from companion.settings.model import Settings
+from companion.settings.overrides import Value, finite, leaves, plain
 from companion.settings.schema import explain
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.keys import choice, text
-from sitl.flight.one_flight import Perception, following, perception_level
-from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal, refuse_idle, replaced
+from sitl.flight.one_flight import Perception, perception_level
+from sitl.scenario.overrides import Overridable, Override
+from sitl.scenario.scenario import Scenario, camera_model, pad_model, refuse_gimbal
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
 from sitl.scenario.scenario import load as load_scenario
 
-Override = tuple[str, Value]
 Point = tuple[Override, ...]
 """The varied keys of a flight with their values; empty where nothing is varied."""
-_FORCED = "settings."
-"""Prefix that reaches a key of the settings which the scenario has too."""
-_SHARED = ("camera.file", "pad.file")
-"""Keys of the scenario that the settings follow."""
-
-
-class Overridable:
-    """A scenario and settings whose single keys can be given other values.
-
-    A key is looked for in the scenario first, then in the settings; `settings.` before it skips the scenario. An item of a list
-    has its number for a key, as in `faults.0.speed_m_s`. The scenario's camera and pad are also those of the settings, unless
-    `settings.camera.file` or `settings.pad.file` is given too; and settings that follow the scenario in all that
-    `sitl.flight.one_flight.following` names go on following it. The methods' argument `where` begins their errors, as in
-    `--vary`.
-
-    Args:
-        by_autopilot: as of `settings_for`, which made the settings.
-    """
-
-    def __init__(self, scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> None:
-        self.scenario, self.settings, self._by_autopilot = scenario, settings, by_autopilot
-        self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
-
-    def value(self, key: str, text: str, where: str) -> Value:
-        """Return the value that a text means for a key, by the type of the key's present value.
-
-        Raises:
-            BadInput: the key does not exist, or holds numbers and the text is none.
-        """
-        return value_like(self._find(key, where), text, key, where)
-
-    def parse(self, text: str, where: str) -> Override:
-        """Return the override that `KEY=VALUE` means.
-
-        Raises:
-            BadInput: it has another form, or as `value`.
-        """
-        key, value = key_and_text(text, where, "wind.speed_m_s=4")
-        return key, self.value(key, value, where)
-
-    def with_values(self, overrides: Sequence[Override], where: str) -> tuple[Scenario, Settings]:
-        """Return the scenario and the settings with these values.
-
-        Raises:
-            BadInput: a key is unknown, or a value has the wrong type, is out of range or contradicts another.
-        """
-        if not overrides:
-            return self.scenario, self.settings
-        tables = copy.deepcopy(self._tables)
-        placed: tuple[list[tuple[list[str], Value]], ...] = ([], [])
-        for key, value in overrides:
-            self._find(key, where)
-            which, path = self._place(key)
-            placed[which].append((path, value))
-        for path, value in placed[0]:
-            put(tables[0], path, value)
-            for name in replaced(path[0], [there[1] for there, _ in placed[0] if there[0] == path[0] and there[1:]]):
-                tables[0][path[0]].pop(name, None)
-        scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
-        refuse_idle([".".join(path) for path, _ in placed[0]], scenario, where)
-        settings = self.settings
-        if placed[0] and following(self.scenario, settings, by_autopilot=self._by_autopilot) == settings:
-            settings = following(scenario, settings, by_autopilot=self._by_autopilot)
-            tables = tables[0], plain(settings)
-        else:
-            placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]
-        if placed[1]:
-            for path, value in placed[1]:
-                put(tables[1], path, value)
-            settings = settings_from_mapping(tables[1], where)
-            if fault := settings.fault(by_autopilot=self._by_autopilot):
-                raise BadInput(f"{where}: {fault}")
-        return scenario, settings
-
-    def _place(self, key: str) -> tuple[int, list[str]]:
-        if key.startswith(_FORCED):
-            return 1, key.removeprefix(_FORCED).split(".")
-        path = key.removeprefix(f"{EXPERT}.").split(".")
-        return (0 if leaf(self._tables[0], path) is not NOTHING else 1), path
-
-    def _find(self, key: str, where: str) -> Any:
-        which, path = self._place(key)
-        found = leaf(self._tables[which], path)
-        if found is NOTHING:
-            known = [key for table in self._tables for key, _ in leaves(table)]
-            hint = nearest(key.removeprefix(_FORCED), known) or "keys are written as in wind.speed_m_s or guidance.rate_hz"
-            raise BadInput(f"{where}: neither scenario nor settings have a key {key!r}; {hint}")
-        return found
-
-
 POINTS_MAX = 1_000_000
 _DIGITS = 9
 """Significant digits of a value, as a command line shows them: enough for any key, and short enough to read."""

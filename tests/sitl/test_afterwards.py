@@ -13,8 +13,8 @@ from sitl.faults.corrupted import Corruptions
 from sitl.faults.fault import FaultTimer
 from sitl.flight.afterwards import Afterwards
 from sitl.flight.grader import FlightGrader
-from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import vehicle_model
+from sitl.scenario.settings import settings_for
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.truth import Touchdown, Truth
 from sitl.world.world import World

@@ -10,8 +10,8 @@ from companion.settings.load import load
 from estimator.contracts.commands import Land, Lean, Velocity
 from sitl.ardrone.flight import Flight
 from sitl.faults.kinds import FrameStream, LensCovered, NavdataStream, StreamFault
-from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from tests.fly import ObservedCalls, fly_for, land, new_flight
 from tests.make import change
 

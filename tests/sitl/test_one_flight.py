@@ -14,8 +14,9 @@ from companion.guidance.pilot import Pilot
 from estimator.contracts.time import NS_PER_S
 from sitl.campaign.figures import in_words
 from sitl.flight.ending import Ending
-from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly, settings_for
+from sitl.flight.one_flight import TRUTH_EACH, FlyOptions, fly
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import faulty
 from sitl.world.truth import Truth
 from tests.fly import ObservedCalls, land, near, simulate

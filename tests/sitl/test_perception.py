@@ -18,12 +18,12 @@ from estimator.contracts.time import MonoNs, Stamp
 from estimator.vision.camera.pose import Orientation, PadPose
 from estimator.vision.register.sighting import sighting_of
 from sitl.faults.kinds import KINDS
-from sitl.flight.one_flight import settings_for
 from sitl.perception import parameters
 from sitl.perception.levels import REPRESENTED, TrueMotion, perceive, represents
 from sitl.perception.model import Chance, DetectionTable, View, Viewer, _turned, symmetric
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from sitl.world.world import World
 from study.perception import recorded as samples_module
 from study.perception.__main__ import main as fit_files

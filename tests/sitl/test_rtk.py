@@ -9,9 +9,10 @@ from benches.landings import Watch
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.samples import Baseline
 from estimator.contracts.time import after
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import fly
 from sitl.flight.vessel_reports import RtkPair
 from sitl.scenario.scenario import Scenario, load
+from sitl.scenario.settings import settings_for
 from sitl.sensors.rtk import RtkErrors, RtkSettings
 from sitl.world.world import World
 

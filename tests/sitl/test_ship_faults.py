@@ -15,9 +15,9 @@ from estimator.ship_motion import ShipMotion, ShipMotionOptions
 from sitl.faults.corrupted import Corrupted
 from sitl.faults.fault import Fault
 from sitl.faults.kinds import DeckRoll, FerryWake, ShipSpeed, ShipTurn, TiltLimited, VesselReports
-from sitl.flight.one_flight import settings_for
 from sitl.flight.vessel_reports import VesselReporter
 from sitl.scenario.scenario import Scenario, from_mapping, load, ship_model, vehicle_model
+from sitl.scenario.settings import settings_for
 from sitl.sea.sea import Sea
 from sitl.vessel.file import VesselSettings
 from sitl.world.world import Stick, World

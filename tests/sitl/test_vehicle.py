@@ -14,8 +14,9 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.time import MonoNs
-from sitl.flight.one_flight import fly, following, settings_for
+from sitl.flight.one_flight import fly
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import following, settings_for
 from sitl.vehicle.airframe import Airframe, Avionics, Loops, StickLimits, VehicleFile, ardrone2, load, rotors
 from sitl.vehicle.disturbances import Wind
 from sitl.vehicle.vehicle import DECK, SEA, Vehicle, VehiclePhase

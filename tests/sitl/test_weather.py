@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from estimator.contracts.errors import BadInput
 from estimator.contracts.time import MonoNs
 from sitl.flight.afterwards import STANDS_AFTER_S
-from sitl.flight.one_flight import FlyOptions, settings_for
+from sitl.flight.one_flight import FlyOptions
 from sitl.scenario.scenario import WeatherSettings, load, raised_sea, raising_wind_m_s, sea_of, wind_of
+from sitl.scenario.settings import settings_for
 from sitl.vehicle.disturbances import SPREADS, EffectSettings, WrongModel
 from sitl.vessel.file import read_log
 from sitl.world.stage import airframe, true_camera

@@ -13,8 +13,8 @@ from companion.guidance.law.policy import ARRAYS, Policy, forward, normal, read_
 from companion.settings.load import load as settings
 from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
-from sitl.flight.one_flight import settings_for
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from study.gym.imitation import Imitation, ImitationOptions, Teacher, _backward, _network, fly_policy, tally
 from study.gym.training import TrainingOptions, TrainingWorlds
 

@@ -1,4 +1,4 @@
-"""The controllers by name: the three of this program, and any that an installed package offers.
+"""The controllers by name: those of the core and of capabilities, and any that an installed package offers.
 
 A package offers one as an entry point of the group `decklander.controllers`, under the name that the setting
 `guidance.controller` then holds: a function that takes a `ControllerSetup` and returns a `Controller`.
@@ -12,14 +12,11 @@ from msgspec import Struct, structs
 from companion.guidance.controller import Controller, FieldOfView
 from companion.guidance.law.follow_deck import FollowDeck
 from companion.guidance.law.pid import PidController
-from companion.settings.capabilities import load_offered, of_packages
+from companion.settings.capabilities import load_offered, names_offered, of_packages, offered
 from companion.settings.guidance import GuidanceOptions, Response
 from estimator.contracts.errors import BadInput, refused
-from estimator.contracts.tables import imported
 
 GROUP = "decklander.controllers"
-_POLICY = "companion.guidance.law.policy:make_policy"
-"""The function that makes the trained controller, loaded where settings name it."""
 
 
 class ControllerSetup(Struct, frozen=True):
@@ -44,7 +41,8 @@ def make_controller(setup: ControllerSetup) -> Controller[Any]:
         return make(setup)
 
 
-def _follow_deck(setup: ControllerSetup) -> FollowDeck:
+def make_follow_deck(setup: ControllerSetup) -> FollowDeck:
+    """Return the law that follows the deck, within the limits of its options."""
     o = setup.guidance.follow_deck
     tilt, climb = setup.response.tilt, setup.response.climb
     response = Response(
@@ -60,16 +58,9 @@ def _follow_deck(setup: ControllerSetup) -> FollowDeck:
     )
 
 
-def _policy(setup: ControllerSetup) -> Controller[Any]:
-    view = setup.view if setup.guidance.follow_deck.keep_in_view else None
-    made: Controller[Any] = imported(_POLICY)(setup.guidance, _follow_deck(setup), view, over_ground=setup.over_ground)
-    return made
-
-
 _OWN: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {
-    "follow_deck": _follow_deck,
+    "follow_deck": make_follow_deck,
     "pid": lambda setup: PidController(setup.guidance.pid, heaves=not setup.over_ground),
-    "policy": _policy,
 }
 
 
@@ -78,9 +69,13 @@ OFFERED: dict[str, Callable[[ControllerSetup], Controller[Any]]] = {}
 
 
 def _offered(name: str) -> Callable[[ControllerSetup], Controller[Any]]:
-    offered = of_packages(GROUP)
-    if name not in offered:
-        known = ", ".join(sorted({*_OWN, *offered}))
+    found: Callable[[ControllerSetup], Controller[Any]]
+    if name in names_offered("controllers"):
+        found = offered("controllers", name, f'guidance.controller = "{name}"')
+        return found
+    of_others = of_packages(GROUP)
+    if name not in of_others:
+        known = ", ".join(sorted({*_OWN, *names_offered("controllers"), *of_others}))
         raise BadInput(f"guidance.controller: there is no controller {name!r}; known are {known}")
-    found: Callable[[ControllerSetup], Controller[Any]] = load_offered(offered[name], f"guidance.controller: {name!r}")
+    found = load_offered(of_others[name], f"guidance.controller: {name!r}")
     return found

@@ -16,9 +16,9 @@ from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 from companion.guidance.controller import FieldOfView, Knowledge, Target
+from companion.guidance.law.controllers import ControllerSetup, make_follow_deck
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.settings.files import unzipped
-from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import SHIPPED, whole
 from drivers.files import Largest, refuse_special
 from estimator.contracts.commands import Command, Lean
@@ -268,6 +268,15 @@ class PolicyController:
         return out
 
 
+def make_policy(setup: ControllerSetup) -> PolicyController:
+    """Return the controller that the settings' network flies, or the shipped one of the vehicle's response."""
+    o = setup.guidance
+    shipped = "ardrone2" if o.follow_deck.response_by_vehicle else o.follow_deck.response
+    policy = read_policy(o.policy_file or shipped_policy(shipped), "guidance.policy_file")
+    view = setup.view if o.follow_deck.keep_in_view else None
+    return PolicyController(policy, make_follow_deck(setup), view, over_ground=setup.over_ground)
+
+
 def _shortened(lean: F64, trim: F64, most: float) -> F64:
     """Return the lean within the largest one; the trim against the wind comes first."""
     if math.hypot(*lean) <= most:
@@ -298,14 +307,3 @@ def observation(
         *memory.action, min(_AGE_MAX_S, relative.age_s(now)),
     )  # fmt: skip
     return np.array(numbers, np.float32)
-
-
-def make_policy(guidance: GuidanceOptions, law: FollowDeck, view: FieldOfView | None, *, over_ground: bool) -> PolicyController:
-    """Return the controller of the settings' network, or of the shipped one for the vehicle's response.
-
-    Raises:
-        BadInput: there is no such network, or it cannot be read.
-    """
-    shipped = "ardrone2" if guidance.follow_deck.response_by_vehicle else guidance.follow_deck.response
-    policy = read_policy(guidance.policy_file or shipped_policy(shipped), "guidance.policy_file")
-    return PolicyController(policy, law, view, over_ground=over_ground)

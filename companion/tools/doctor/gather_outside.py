@@ -19,7 +19,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from companion.settings import files
-from companion.settings.capabilities import CAPABILITIES, is_offered, offered
+from companion.settings.capabilities import CAPABILITIES, names_offered, offered
 from companion.settings.links import HttpSettings
 from companion.settings.model import Settings
 from companion.tools.doctor.diagnose import PARAMETERS
@@ -65,7 +65,7 @@ def examine_log(path: Path) -> Snapshot:
         return structs.replace(snapshot, log=None, autopilot=structs.replace(a, unread=file.history.notes, unjudged=unjudged))
     if kind is FileKind.ENCRYPTED:
         raise BadInput(f"{path}: {kind.value}: {DECRYPT}")
-    if not is_offered("histories", kind.name):
+    if kind.name not in names_offered("histories"):
         raise BadInput(
             f"{path}: {kind.value}, and neither a dataflash log (.bin, .log), a PX4 log (.ulg), a telemetry log (.tlog) nor a "
             "file of parameters"

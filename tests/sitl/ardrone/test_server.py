@@ -37,11 +37,12 @@ from sitl.emulators.ardrone.serve import fly_repeatedly
 from sitl.emulators.ardrone.server import ArDroneServer, Habits, Ports
 from sitl.emulators.ardrone.wire_pictures import Shot, UvlcPictures
 from sitl.faults.kinds import FrameStream, LinkLost
-from sitl.flight.one_flight import fly, settings_for
+from sitl.flight.one_flight import fly
 from sitl.perception.levels import perceive, represents
 from sitl.perception.port import Perception
 from sitl.scenario.scenario import Start
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import faulty, real_time
 from sitl.world.truth import RenderedFrame
 from sitl.world.world import World

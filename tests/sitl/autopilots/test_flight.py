@@ -26,9 +26,9 @@ from drivers.mavlink.links import LinkOptions, Links, open_links
 from sitl.emulators.autopilots.flight import AutopilotFlight, AutopilotProgram
 from sitl.emulators.autopilots.programs import px4
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from tests.fly import NEAR, land
 from tests.support.processes import gone, started
 from tests.support.waiting import wait_until

@@ -17,7 +17,6 @@ from drivers.mavlink.dialect import mav
 from drivers.mavlink.options import GimbalOptions
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.time import MonoNs
-from sitl.campaign.plan import Overridable
 from sitl.emulators.autopilots.conduct import FlightEnd
 from sitl.emulators.autopilots.stand_in.flight import StandInFlight
 from sitl.faults.corrupted import Corrupted
@@ -25,9 +24,10 @@ from sitl.faults.kinds import Failsafe, LowBattery, OperatorActs, ServiceKilled
 from sitl.flight import afterwards
 from sitl.flight.afterwards import STANDS_AFTER_S
 from sitl.flight.hands import HandsWatch
-from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 
 
 def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has() -> None:

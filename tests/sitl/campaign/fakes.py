@@ -13,8 +13,9 @@ from sitl.campaign.figures import Tally, added, tallies_of
 from sitl.campaign.plan import CampaignPlan, Job, code_version, make_plan, seeds_of
 from sitl.campaign.store import FolderStore, fly_left
 from sitl.campaign.workers import Flight, LocalWorkers
-from sitl.flight.one_flight import Perception, settings_for
+from sitl.flight.one_flight import Perception
 from sitl.scenario.scenario import Scenario
+from sitl.scenario.settings import settings_for
 from tests.fly import near
 
 RAISES, KILLS = 13, 66

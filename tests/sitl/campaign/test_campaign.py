@@ -40,7 +40,6 @@ from sitl.campaign.figures import (
 )
 from sitl.campaign.plan import (
     Job,
-    Overridable,
     Point,
     code_version,
     described,
@@ -52,8 +51,9 @@ from sitl.campaign.plan import (
 from sitl.campaign.report import REPORT, SEA, VEHICLE, WIND, fly_again, render_map, render_report
 from sitl.campaign.store import FLIGHTS, MANIFEST, FolderStore, flights_in, manifest_of, manifest_of_plan
 from sitl.campaign.workers import ClusterWorkers, Flight, LocalWorkers, Order, OtherCode, fly_order
-from sitl.flight.one_flight import settings_for
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from tests.fly import NEAR, near
 from tests.sitl.campaign.fakes import KILLS, RAISES, fake_fly, plan, tally_of
 

@@ -19,7 +19,7 @@ from companion.cli import main as cli
 from companion.settings.load import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.campaign import random_faults
-from sitl.campaign.plan import Overridable, digest_of, is_set, load_set, make_plan, shipped_sets
+from sitl.campaign.plan import digest_of, is_set, load_set, make_plan, shipped_sets
 from sitl.campaign.random_faults import FaultTally, shrunk
 from sitl.campaign.report import REPORT
 from sitl.campaign.workers import Flight
@@ -27,10 +27,11 @@ from sitl.faults.carried import refuse_others
 from sitl.faults.corrupted import SIGNALS, UNSIZED, Corrupted, errors_of
 from sitl.faults.drawn import SHARES, Drawable, draw, simpler
 from sitl.faults.kinds import AnyFault, CommandStream, Failsafe, LowBattery, OperatorActs, OtherPad, ServiceKilled, WeakRotor
-from sitl.flight.one_flight import settings_for
 from sitl.perception.levels import perceive
+from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.scenario import load as load_scenario
+from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import as_toml, with_random_faults
 from tests.fly import NEAR
 
