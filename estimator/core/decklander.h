@@ -494,7 +494,7 @@ typedef struct {
     double turned[DL_VIEW_LAGS];
     /* Sum of the products of both, for each delay. */
     double together[DL_VIEW_LAGS];
-    /* Number of sightings in a row that show a delay. */
+    /* Number of sightings in a row that show a delay, of those in which the body turns. */
     int64_t lags_shown;
     /* Delay of the attitude against the image, s; 0 while nothing shows that it is. */
     double late_s;

@@ -31,8 +31,10 @@ static const double LAG_FROM_M = 1.0;
 /* Rate of the pad's way through the level view after which nothing is compared for LAG_FORGET_S: after a ship that stops or turns a drone
  * leans. */
 static const double LAG_ASIDE_RAD_S = 0.5;
-/* Number of sightings in a row that show a delay. */
+/* Number of sightings in a row that show a delay, of those in which the body turns by so much beside a line: the other ones repeat what
+ * these showed. A lean that begins and stays is one turn, which the push of a gust makes look late. */
 enum { LAG_LASTS = 15 };
+static const double LAG_TURN_RAD = 0.004;
 
 /* The courses of half a second: three of bearings in the body that the rotation alone makes, three of those in the image, and two of those
  * in level, forward and right. */
@@ -148,6 +150,19 @@ static double between(const window *w, int k, double s)
     return w->y[k][i] + (s - w->s[i]) * (w->y[k][i + 1] - w->y[k][i]) / (w->s[i + 1] - w->s[i]);
 }
 
+/* Forget what showed a delay, by a time without sight of the pad. */
+static void forget_delays(dl_view *v, double unseen_s)
+{
+    const double kept = exp(-unseen_s / LAG_FORGET_S);
+    for (int lag = 0; lag < DL_VIEW_LAGS; lag++) {
+        v->turned[lag] *= kept;
+        v->together[lag] *= kept;
+    }
+    v->seen *= kept;
+    v->late_s = 0.0;
+    v->lags_shown = 0;
+}
+
 /* Compare the view in the middle of half a second with the rotation at instants before and after. The delay is where both agree best
  * (Knapp, Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24(4), 1976). */
 static void compare_delays(dl_view *v, const window *w)
@@ -158,10 +173,7 @@ static void compare_delays(dl_view *v, const window *w)
         return;
     }
     if (hypot(w->slope[LEVEL], w->slope[LEVEL + 1]) > LAG_ASIDE_RAD_S) {
-        memset(v->turned, 0, sizeof v->turned);
-        memset(v->together, 0, sizeof v->together);
-        v->seen = v->late_s = 0.0;
-        v->lags_shown = 0;
+        forget_delays(v, HUGE_VAL);
         v->aside_at = now;
         return;
     }
@@ -169,7 +181,7 @@ static void compare_delays(dl_view *v, const window *w)
         return;
     }
     const double kept = exp((double)(v->bearings[w->n - 2].t - now) * 1e-9 / LAG_FORGET_S);
-    double seen[2], alike[DL_VIEW_LAGS];
+    double seen[2], alike[DL_VIEW_LAGS], turns[DL_VIEW_LAGS] = {0.0};
     int best = 0;
     v->seen *= kept;
     for (int k = 0; k < 2; k++) {
@@ -182,16 +194,17 @@ static void compare_delays(dl_view *v, const window *w)
         v->together[lag] *= kept;
         for (int k = 0; k < 2; k++) {
             const double turned = off_line(w, EXPECTED + k, there, between(w, EXPECTED + k, there));
-            v->turned[lag] += turned * turned;
+            turns[lag] += turned * turned;
             v->together[lag] += turned * seen[k];
         }
+        v->turned[lag] += turns[lag];
         alike[lag] = v->together[lag] / sqrt(fmax(v->seen * v->turned[lag], 1e-18));
         best = alike[lag] > alike[best] ? lag : best;
     }
     const double late_s = (best - NO_LAG) * LAG_STEP_S;
     const double better = alike[best] * fabs(alike[best]) - alike[NO_LAG] * fabs(alike[NO_LAG]);
     const int shows = fabs(late_s) > LATE_S - 1e-9 && alike[best] > LAG_ALIKE && better > LAG_BETTER && v->seen > LAG_TURNED_RAD * LAG_TURNED_RAD;
-    v->lags_shown = shows ? v->lags_shown + 1 : 0;
+    v->lags_shown = shows ? v->lags_shown + (turns[best] > LAG_TURN_RAD * LAG_TURN_RAD) : 0;
     v->late_s = v->lags_shown >= LAG_LASTS ? late_s : 0.0;
 }
 
@@ -201,7 +214,11 @@ void dl_view_watch(dl_view *view, int64_t t, const double *d_level, double roll,
     if (distance_m < 1e-6) {
         return;
     }
+    const int64_t before = view->n > 0 ? view->bearings[view->n - 1].t : t;
     keep(view, t);
+    if (view->n == 0 && before < t) {
+        forget_delays(view, (double)(t - before) * 1e-9);
+    }
     dl_bearing *newest = &view->bearings[view->n++];
     newest->t = t;
     from_rpy(roll, pitch, 0.0, newest->R_level_body);
