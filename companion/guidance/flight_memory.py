@@ -2,16 +2,16 @@
 
 A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
 the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; one where
-it is goes on down, to the place that was meant; a hold or an abort of a person stays one; and a height that was large enough
-spares a climb. A vehicle that a person had, or that is in another mode than it was left in, is a person's until he orders to
-begin: he may have chosen that mode while no service watched.
+it is goes on down, to the place that was meant; a vehicle that was let down to the deck and stands has landed; a hold or an abort
+of a person stays one; and a height that was large enough spares a climb. A vehicle that a person had, or that is in another mode
+than it was left in, is a person's until he orders to begin: he may have chosen that mode while no service watched.
 """
 
 from collections.abc import Mapping
 
 from msgspec import Struct, structs
 
-from companion.base.mission import FLOWN, GROUND, Event, State
+from companion.base.mission import CONTACT_INTENDED, FLOWN, GROUND, Event, State
 from companion.guidance.mission.out_of_reach import height_m
 from companion.guidance.mission.progress import GuidanceCycle, Progress
 from estimator.contracts.time import MonoNs, seconds_between
@@ -74,7 +74,8 @@ def carried_on(p: Progress, memory: FlightMemory, now: MonoNs, *, taken: bool) -
     Args:
         taken: whether a person has the vehicle, so that nothing is requested any more.
     """
-    p = structs.replace(p, begun=memory.begun and not taken, stays=memory.stays)
+    ordered = not taken and State[memory.state] in CONTACT_INTENDED
+    p = structs.replace(p, begun=memory.begun and not taken, stays=memory.stays, ordered=ordered)
     if p.here is not None:
         p = structs.replace(p, here=structs.replace(p.here, at_pad=memory.here))
     if memory.height_m is None:

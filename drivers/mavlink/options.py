@@ -171,6 +171,8 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
     """Time after the last velocity for which a hold moves with the deck; later it holds over the ground."""
     hold_mode_after_s: ClassVar[float] = 6.0
     """Time without guidance after which the autopilot is put into its own hold mode."""
+    stands_after_s: ClassVar[float] = 1.0
+    """Time without guidance after which the motors of an autopilot are stopped that says it stands: a tenth of DISARM_DELAY."""
     take_off_height_m: Annotated[float, tuning("height of a take-off on command", "m", 0.5, 50.0, public=True)] = 3.0
     take_off_timeout_s: ClassVar[float] = 15.0
     """Time after which a take-off that has not happened is given up."""

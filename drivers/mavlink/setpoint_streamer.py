@@ -505,10 +505,15 @@ class SetpointStreamer:
             return True
         return self._streamed is not None and seconds_between(self._streamed[0], now) >= self._o.prestream_s
 
+    @property
+    def _silent_most_s(self) -> float:
+        """Time without guidance for which the vehicle is kept in the velocity mode."""
+        return self._o.stands_after_s if self._condition.flying is False else self._o.hold_mode_after_s
+
     def _steer(self, now: MonoNs) -> list[Message]:
         silent_s = math.inf if self._motion_at is None else seconds_between(self._motion_at, now)
         fresh = silent_s <= self._o.command_timeout_s
-        if silent_s > self._o.hold_mode_after_s and self._on(HandEvent.SILENT):
+        if silent_s > self._silent_most_s and self._on(HandEvent.SILENT):
             return self._hold(now)
         out = self._setpoint(now, self._motion if fresh and self._motion is not STILL else self._held(now))
         there = self._condition.mode == self._mode and not self._modes.pending

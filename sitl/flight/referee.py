@@ -274,8 +274,8 @@ class Referee:
         self._charge: float | None = None
         self._hop_m: float | None = None
         """Height that it has reached since it left the deck; None before it touches it, and while that is not counted."""
-        self._stood_m: tuple[float, float] | None = None
-        """Place on the deck where it came to stand, as `Moment.at_m`."""
+        self._stood_m: tuple[tuple[float, float], tuple[float, float]] | None = None
+        """Place where it came to stand: on the deck, as `Moment.at_m`, and over the ground, north and east."""
         self._ordered: Ordered | None = None
         self._given_back: MonoNs | None = None
         """Instant at which a person last gave it back within a deck's reach."""
@@ -323,7 +323,7 @@ class Referee:
             self._touch(contact, self._touches_by(contact, whose))
         self._contacts = len(truth.contacts)
         self._time(truth, m, dt_s, whose)
-        self._on_deck(m, whose)
+        self._on_deck(truth, m, whose)
         if m.motors:
             self._note("turned_deg_s", abs(math.degrees(truth.w_body[2])), whose)
             if not m.stands:
@@ -423,17 +423,13 @@ class Referee:
     def _beside(self, m: Moment) -> bool:
         return m.aside_m > self._disc_radius_m and m.over_deck
 
-    def _on_deck(self, m: Moment, whose: Decides) -> None:
+    def _on_deck(self, truth: Truth, m: Moment, whose: Decides) -> None:
         """Count what happens on the deck: bounces, motors that stop over it, tipping over, sliding."""
         if self._before.motors and not m.motors:
             self._note("motors_off_m", m.clearance_m, whose)
         if m.over_deck and abs(m.lowest_m) < 2 * ON_DECK_M:
             self._note("tipped_deg", m.tilt_deg, whose)
-        if m.clearance_m > _BOUNCE_MAX_M or whose not in self.counts["slid_m"].limit.most:
-            self._stood_m = None
-        elif m.stands:
-            self._stood_m = self._stood_m or m.at_m
-            self._note("slid_m", math.hypot(m.at_m[0] - self._stood_m[0], m.at_m[1] - self._stood_m[1]), whose)
+        self._slides(truth, m, whose)
         if whose not in self.counts["bounces"].limit.most:
             self._hop_m = None
         elif m.motors and m.stands:
@@ -443,6 +439,18 @@ class Referee:
             self._hop_m = 0.0
         elif self._hop_m is not None:
             self._hop_m = max(self._hop_m, m.clearance_m)
+
+    def _slides(self, truth: Truth, m: Moment, whose: Decides) -> None:
+        """Count how far it slides; an autopilot that holds over the ground leaves a deck under way to go on under it."""
+        if m.clearance_m > _BOUNCE_MAX_M or whose not in self.counts["slid_m"].limit.most:
+            self._stood_m = None
+        elif m.stands:
+            north, east, _ = truth.p_body_ned.tolist()
+            on_deck_m, over_ned_m = self._stood_m = self._stood_m or (m.at_m, (north, east))
+            slid_m = math.dist(m.at_m, on_deck_m)
+            if whose is Decides.AUTOPILOT and m.motors:
+                slid_m = min(slid_m, math.dist((north, east), over_ned_m))
+            self._note("slid_m", slid_m, whose)
 
     def _way(self, truth: Truth, m: Moment, dt_s: float, whose: Decides) -> None:
         """Count where and how fast the vehicle flies."""

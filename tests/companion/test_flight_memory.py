@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from companion.base.mission import FLOWN, State
+from companion.base.mission import CONTACT_INTENDED, FLOWN, State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.service.flight_keeper import FlightKeeper, keeper_of
@@ -82,6 +82,14 @@ def test_a_vehicle_that_stood_meanwhile_begins_another_flight() -> None:
     loop.flying = True
     loop.tick("no frames")
     assert loop.pilot.state is State.SEARCH
+
+
+@pytest.mark.parametrize("state", [state for state in State if state in FLOWN])
+def test_a_vehicle_that_was_let_down_to_the_deck_and_stands_has_landed(state: State) -> None:
+    loop = back(FlightMemory(ns(100.0), state.name, True, 0.1))
+    loop.flying = False
+    loop.tick("no frames")
+    assert loop.pilot.state is (State.LANDED if state in CONTACT_INTENDED else State.LANDED_BY_OTHERS)
 
 
 def test_a_height_that_was_known_spares_a_climb_as_far_as_a_deck_cannot_have_taken_it() -> None:

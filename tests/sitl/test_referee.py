@@ -523,6 +523,16 @@ def test_beside_the_ship_nothing_stands_slides_or_tips_at_the_height_of_her_deck
     assert judged([*mode, *over], deck=SHIP).counts["tipped_deg"].over
 
 
+def test_a_deck_that_goes_on_under_an_autopilot_that_holds_is_no_slide_of_it() -> None:
+    """WHY: a pilot chose BRAKE at the contact, and the ship went on: "slid 19.5 m over the deck" (weather_3, 903051)."""
+    for ship_m_s, motors, slid in ((1.5, FLIES, False), (0.0, FLIES, True), (1.5, LANDED, True)):
+        goes = [Step(0.1 * n, 0.0, -0.15 * n, ship=0.1 * n * ship_m_s, ship_m_s=ship_m_s, phase=motors) for n in range(1, 40)]
+        chosen = Step(0.0, 0.0, ship_m_s=ship_m_s, acts=(("mode", StickPositions()),))
+        assert judged([chosen, *goes]).counts["slid_m"].over is slid
+    ours = [Step(0.1 * n, 0.0, -0.15 * n, ship=0.15 * n, ship_m_s=1.5) for n in range(40)]
+    assert judged(ours).counts["slid_m"].over, "guidance goes with the deck"
+
+
 def test_a_cut_that_a_person_ordered_is_no_stop_of_ours_and_one_that_the_service_sends_is() -> None:
     cut = EDGES["motors_off_m"][0](3.0)
     assert judged(cut).unsafe == ("the motors stopped 3.00 m over the deck, where 0.05 m are the most",)

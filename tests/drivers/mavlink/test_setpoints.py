@@ -457,6 +457,17 @@ def test_a_vehicle_that_stands_after_a_landing_is_commanded_to_disarm_and_never_
     assert flight.periods(1.0) == []
 
 
+@pytest.mark.parametrize("stack", [Stack.ARDUPILOT, Stack.PX4])
+def test_a_vehicle_that_guidance_leaves_standing_is_disarmed_and_one_that_it_steers_or_that_flies_is_not(stack: Stack) -> None:
+    """WHY: a service was killed as it stood, and the next one left its motors turning for seven seconds (weather_3, 903071)."""
+    for flying, command, stopped in ((False, None, True), (True, None, False), (False, GO, False)):
+        flight, sent = over_a_deck(stack), []
+        for _ in range(20):
+            flight.told(flying=flying)
+            sent += flight.periods(0.1, command)
+        assert (set(stops(sent)) == {(0.0, 0.0)}) is stopped
+
+
 GUIDED, LAND, BRAKE = (4, 0), (9, 0), (17, 0)
 LOITER, AUTO_LAND = (4, 3), (4, 6)
 
