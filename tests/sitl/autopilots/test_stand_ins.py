@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from companion.guidance.law.flown_course import course_of, reported_lean, track
 from companion.guidance.law.response_fit import fit_tilt
-from companion.settings.load import shipped_response
+from companion.settings.load import SHIPPED, shipped, shipped_response
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode
@@ -27,11 +27,14 @@ from sitl.emulators.autopilots.body import Body, BodyState
 from sitl.emulators.autopilots.programs.arducopter import CURVE, JsonBackend, decode
 from sitl.emulators.autopilots.programs.px4 import HilBackend, SensorNoise, gnss, motors_of, sensors, serve_hil
 from sitl.emulators.autopilots.stand_in.arducopter import CopterStandIn
-from sitl.emulators.autopilots.stand_in.base import STEP_S, StandIn
+from sitl.emulators.autopilots.stand_in.base import STEP_S
+from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, PX4_GAINS
 from sitl.emulators.autopilots.stand_in.px4 import Px4StandIn
-from sitl.scenario.scenario import Scenario, load
+from sitl.emulators.autopilots.stand_in.tuning import STABILITY_MARGIN, open_loops, tuned
+from sitl.scenario.scenario import Scenario, load, vehicle_model
 from sitl.sensors.sensors import ORIGIN
-from sitl.vehicle.airframe import ardrone2
+from sitl.vehicle.airframe import VehicleSettings, ardrone2
+from sitl.vehicle.airframe import load as load_vehicle
 from sitl.world.drives import Motors, wrench
 
 ARM = (mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
@@ -46,17 +49,20 @@ class Deck:
 
     def __init__(
         self, name: str, stack: Stack, parameters: dict[str, float] | None = None, speed_m_s: float | None = None,
-        wind_m_s: float | None = None, from_deg: float = 30.0,
+        wind_m_s: float | None = None, from_deg: float = 30.0, vehicle: VehicleSettings | None = None,
     ) -> None:  # fmt: skip
         scenario = load(name)
+        if vehicle is not None:
+            scenario = replace(scenario, vehicle=vehicle)
         if wind_m_s is not None:
             scenario = replace(scenario, weather=replace(scenario.weather, wind_m_s=wind_m_s, from_deg=from_deg))
         vessel = scenario.vessel if speed_m_s is None else replace(scenario.vessel, speed_m_s=speed_m_s, moored=False)
         start, wrong = replace(scenario.start, where="pad"), scenario.wrong_model.drawn(3)
         scenario = replace(scenario, start=start, vessel=vessel, wrong_model=wrong)
         self.body = Body(scenario, 3, STEP_S, CURVE if stack is Stack.ARDUPILOT else 0.0)
-        self.pilot: StandIn = (
-            CopterStandIn(self, parameters, STEP_S) if stack is Stack.ARDUPILOT else Px4StandIn(self, parameters)
+        frame = None if vehicle is None else vehicle_model(scenario).airframe()
+        self.pilot: CopterStandIn | Px4StandIn = (
+            CopterStandIn(self, parameters, STEP_S, frame) if stack is Stack.ARDUPILOT else Px4StandIn(self, parameters, frame)
         )
         self.said: list[Message] = []
         self.pilot.send = self.said.append  # type: ignore[method-assign, assignment]
@@ -237,6 +243,40 @@ def test_a_climb_follows_a_velocity_as_late_as_the_shipped_response_says(stack: 
     two_thirds_s = 0.04 * (1 + int(np.argmax(np.array(speeds) > 0.5 * (1.0 - math.exp(-1.0)))))
     assert two_thirds_s + link_s == pytest.approx(climb.delay_s + climb.lag_s, abs=0.16)
     assert 0.45 < speeds[-1] < 0.56
+
+
+GAINS = {Stack.PX4: PX4_GAINS, Stack.ARDUPILOT: COPTER_GAINS}
+
+
+def test_every_vehicle_is_tuned_to_its_motors_and_one_whose_defaults_have_margin_keeps_them() -> None:
+    """WHY: hexa_7kg by PX4's defaults swung until it turned over (weather_3, seed 7008)."""
+    for name in shipped("vehicles"):
+        frame = load_vehicle(SHIPPED / "vehicles" / f"{name}.toml").airframe()
+        for stack, given in GAINS.items():
+            found = tuned(given, frame, STEP_S)
+            assert min(open_loops(found, frame, STEP_S).margins()) >= STABILITY_MARGIN, (name, stack)
+            assert (found == given) is (name != "hexa_7kg")
+
+
+def swing_deg(stack: Stack, *, by_defaults: bool) -> float:
+    """Return how far a hexacopter's pitch swings three seconds after a step of velocity, by motors slower than its file says."""
+    slow = VehicleSettings("hexa_7kg", motor_lag_s=1.7 * 0.09)
+    deck = Deck("calm", stack, QUICK if stack is Stack.PX4 else None, speed_m_s=0.0, wind_m_s=0.0, vehicle=slow)
+    if by_defaults:
+        deck.pilot._cascade.gains = GAINS[stack]
+    deck.up(4.0)
+    pitches = []
+    for _ in range(100):
+        deck.tell(velocity_setpoint(0, (1, 1), Velocity(np.array([2.0, 0.0, 0.0]), 0.0), 0.0))
+        deck.fly(0.04)
+        pitches.append(math.degrees(deck.body.state().R_ned_body.rpy_rad[1]))
+    return float(np.ptp(pitches[75:]))
+
+
+@pytest.mark.parametrize("stack", GAINS)
+def test_a_heavy_vehicle_as_it_was_tuned_settles_by_slower_motors_too_and_by_a_stacks_defaults_swings_on(stack: Stack) -> None:
+    tuned_deg, default_deg = (swing_deg(stack, by_defaults=by_defaults) for by_defaults in (False, True))
+    assert 4.0 * tuned_deg < default_deg
 
 
 def test_a_tilt_of_px4_follows_an_acceleration_as_its_response_file_says() -> None:

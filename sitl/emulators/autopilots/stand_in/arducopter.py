@@ -20,6 +20,7 @@ from sitl.emulators.autopilots.programs import arducopter
 from sitl.emulators.autopilots.programs.arducopter import CURVE
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import COPTER_GAINS, Cascade
+from sitl.emulators.autopilots.stand_in.tuning import tuned
 from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.world.drives import Motors
 
@@ -97,7 +98,8 @@ class CopterStandIn(StandIn):
         given = {**DEFAULTS, **arducopter.PARAMETERS, **(parameters or {})}
         super().__init__(Stack.ARDUPILOT, clock, given, "stabilize")
         self.step_s = step_s
-        self._cascade = Cascade(COPTER_GAINS, airframe or ardrone2(), CURVE, step_s)
+        frame = airframe or ardrone2()
+        self._cascade = Cascade(tuned(COPTER_GAINS, frame, step_s), frame, CURVE, step_s)
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
         self._wanted_s = -math.inf
         self._attitude_rad: tuple[float, float, float] | None = None
@@ -182,10 +184,11 @@ class CopterStandIn(StandIn):
         self._goal = p_ned
 
     def entered(self, name: str) -> None:
-        """Hold from here: modes that hold do so over the ground."""
+        """Hold where it stops from here, over the ground. Source: ArduCopter, ModeBrake::run, ModeLand."""
         self._goal = self._attitude_rad = None
         if self.state is not None:
-            self._place = self.state.p_ned.copy()
+            v, stops_s = self.state.v_ned, math.hypot(*self.state.v_ned[:2]) / (0.02 * self.parameter("WPNAV_ACCEL"))
+            self._place = self.state.p_ned + v * (stops_s, stops_s, 0.0)
             self._v_shaped, self._a_shaped = self.state.v_ned.copy(), np.zeros(3)
         if name != "guided":
             self._take_off_to_m = None

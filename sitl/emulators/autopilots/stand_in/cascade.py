@@ -12,7 +12,7 @@ from sitl.vehicle.airframe import Airframe
 from sitl.world.drives import Motors
 
 _YAW_SHARE = 0.5  # of the largest torque about the vertical axis that the yaw loop takes
-_VELOCITY_S = 0.032
+VELOCITY_S = 0.032
 """Time constant of the filter of the velocity's derivative, 5 Hz (MPC_VELD_LP, PSC_VELXY_FLTE)."""
 _LIFT_FILTER_S = 0.016
 """Time constant of the filter of the vertical acceleration's error, 10 Hz (PSC_ACCZ_FLTE)."""
@@ -125,7 +125,7 @@ class Cascade(Struct):
     def accelerations(self, s: BodyState, v_wanted: F64, a_wanted: F64) -> F64:
         """Return the acceleration that follows a velocity with an acceleration fed forward, (3,) m/s^2 ned."""
         g, error = self.gains, v_wanted - s.v_ned
-        self._v.step((error if g.of_errors else -s.v_ned)[:2], self.step_s, _VELOCITY_S)
+        self._v.step((error if g.of_errors else -s.v_ned)[:2], self.step_s, VELOCITY_S)
         if g.of_errors:
             error = np.append(self._v.value, error[2])
         rate = np.array([g.velocity_i, g.velocity_i, g.climb_i])

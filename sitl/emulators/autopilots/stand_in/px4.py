@@ -21,6 +21,7 @@ from sitl.emulators.autopilots.body import BodyState
 from sitl.emulators.autopilots.programs import px4
 from sitl.emulators.autopilots.stand_in.base import IN_AIR, ON_GROUND, STILL, StandIn, toward
 from sitl.emulators.autopilots.stand_in.cascade import PX4_GAINS, Cascade
+from sitl.emulators.autopilots.stand_in.tuning import tuned
 from sitl.sensors.sensors import ORIGIN
 from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.world.drives import Motors
@@ -58,7 +59,8 @@ class Px4StandIn(StandIn):
 
     def __init__(self, clock: Clock, parameters: Mapping[str, float] | None = None, airframe: Airframe | None = None) -> None:
         super().__init__(Stack.PX4, clock, {**DEFAULTS, **px4.PARAMETERS, **(parameters or {})}, "auto.loiter")
-        self._cascade = Cascade(PX4_GAINS, airframe or ardrone2(), 0.0, px4.STEP_S)
+        frame = airframe or ardrone2()
+        self._cascade = Cascade(tuned(PX4_GAINS, frame, px4.STEP_S), frame, 0.0, px4.STEP_S)
         self._place: F64 | None = None
         """Target of AUTO modes, (3,) m ned."""
         self._v_wanted, self._a_wanted, self._yaw_rate = np.zeros(3), np.zeros(3), 0.0
