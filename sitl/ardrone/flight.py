@@ -56,6 +56,7 @@ from sitl.world.truth import RenderedFrame
 from sitl.world.world import World
 
 NAVDATA_DELAY_S = 0.004
+"""Delay of navdata to the service: one tick on a link that is not loaded."""
 _TICK_NS, _NAVDATA_DELAY_NS = round(TICK_S * NS_PER_S), round(NAVDATA_DELAY_S * NS_PER_S)
 _NO_PIXELS = np.empty((0, 0, 3), np.uint8)
 _WATCH_EACH = 10

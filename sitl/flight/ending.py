@@ -97,6 +97,7 @@ class Aftermath(Struct, frozen=True):
 
 
 STOOD_STILL_MAX_S = 1.0
+"""Time for which the simulator may not advance in a flight, all pauses together."""
 FILMED_MIN, REPLACED_MAX, SKIPPED_MAX, NO_ATTITUDE_MAX = 0.5, 0.4, 0.7, 0.15
 """Limits on shares of a flight's frames: rendered in time, replaced before vision processed them, left out by vision to keep its
 share of a core, without an attitude since the samples came late."""

@@ -33,6 +33,7 @@ from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import World
 
 _POLL_S = 0.1
+"""Interval at which the end of the flight is looked for."""
 
 
 async def fly_repeatedly(

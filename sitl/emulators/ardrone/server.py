@@ -219,6 +219,7 @@ class StreamPort:
 DEMO_TICKS = 13
 """Ticks between two datagrams in demo mode and in the bootstrap: 15.4 Hz."""
 TRUTH_TICKS = 2
+"""Ticks between two true states that are written: 100 Hz, twice the rate of guidance."""
 CATCH_UP_MAX_S = 0.25
 """Longest standstill of a host that is caught up.
 
@@ -227,6 +228,7 @@ After a longer one missed datagrams are not sent late; the physics runs up to no
 
 
 _BACKLOG_MAX = 1 << 18
+"""Bytes that wait for a client that does not read, some hundred datagrams of navdata; further ones are lost."""
 _VIDEO_SEND_BUFFER = 1 << 16
 """Bytes the kernel may hold for the video client: about half a second, so that a slow client loses frames, not freshness."""
 

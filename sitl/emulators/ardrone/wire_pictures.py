@@ -22,6 +22,7 @@ IDR_EVERY = 15
 """Number of frames from one IDR to the next, as in captures of the real drone."""
 
 _NAL_IDR, _NAL_SEI, _NAL_SPS, _NAL_PPS = 5, 6, 7, 8
+"""Kinds of units of the coded stream. Source: ITU-T H.264, table 7-1."""
 
 
 class AccessUnit(Struct, frozen=True):

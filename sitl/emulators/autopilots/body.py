@@ -19,6 +19,7 @@ from sitl.world.world import World
 Settle = Callable[[], Awaitable[None]]
 """Awaited after each step, before a program gets its state; the program's time stands still until it returns."""
 _RANGE_MAX_M = 40.0
+"""Reach of the rangefinder (RNGFND1_MAX_CM of our parameters)."""
 _DOWN_MIN = 0.3
 """Least share of down in the range's ray."""
 
@@ -137,6 +138,7 @@ class Body(World):
 
 
 _STOPPED_M_S = 0.3
+"""Speed over the ground below which a vehicle has stopped."""
 
 
 class Silence(Struct, eq=False):

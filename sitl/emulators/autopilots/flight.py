@@ -52,6 +52,7 @@ HOST = "127.0.0.1"
 COMPANION_PORT = 14540
 """The companion's port in the settings that a recording keeps."""
 _TRUTH_S = 0.02 - 1e-6
+"""Time between two true states that are handed on, a little less than whole steps."""
 _PACE = 10.0
 """Largest speed of the program in multiples of real time; the lock step limits it to what the machine can do."""
 _SILENT_S = 60.0

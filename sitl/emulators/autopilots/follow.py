@@ -216,11 +216,16 @@ class OwnVehicle:
                 await self._settle()
 
 
-_ASK_S, _ASKS = 5.0, 3
+_ASK_S = 5.0
+"""Time for which an answer is awaited to the request for the true state."""
+_ASKS = 3
+"""Requests after which the simulator has none."""
 _EACH_US = 20_000
 """Interval in which the true state is requested."""
 _TRUTH_LAST_S = 1.0
+"""Time for which a reported true state counts: fifty of its intervals."""
 _GAP_S = 0.2
+"""Longest time over which the newest position is carried on to the attitude's instant."""
 _MEAN_S = 3.0
 """Time over which the distance between truth and estimate is averaged."""
 
@@ -315,11 +320,17 @@ class PoseSource:
 
 
 PERIOD_S = 0.04
+"""Interval between two frames, at the fastest."""
 _STAMP_SIGMA_S = 0.002
+"""Standard deviation of a frame's stamp."""
 _OLD_S = 0.3
+"""Age of a pose that is shown no more, and the longest wait for vision to be free."""
 _TRUTH_S = 3.0
 """Time after the first reported position for which the simulator's truth is awaited."""
-_MEET_S, _PLACE_S = 30.0, 180.0
+_MEET_S = 30.0
+"""Longest wait for an autopilot."""
+_PLACE_S = 180.0
+"""Longest wait for its position: its filter needs a minute after the start."""
 _CLEAR_M = 0.15
 """Height over the pad, m, above which the vehicle is not down yet: the last descent rate above it is that of the touchdown."""
 

@@ -69,6 +69,7 @@ class LockStepClock:
 STAMP_SIGMA_S = 0.002
 """Standard deviation of a frame's stamp, s."""
 _NAP_S = 0.0005
+"""Pause between two looks whether vision's thread is done, well below the time of one frame."""
 _TURNS = 40
 """Turns of the event loop after which a service that has a frame and does not look at it waits for the time to go on."""
 

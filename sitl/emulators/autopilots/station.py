@@ -26,9 +26,13 @@ STATION = (255, int(mav.MAV_COMP_ID_MISSIONPLANNER))
 COMPANION = int(mav.MAV_COMP_ID_ONBOARD_COMPUTER)
 _AUTOPILOT = int(mav.MAV_COMP_ID_AUTOPILOT1)
 _REPEAT_S = 1.0
+"""Interval at which a command is repeated that was not answered."""
 _HEAVE_M = 2.0
+"""Height off the start at which a vehicle is there: as far as pads heave."""
 _CLIMB_M_S = 1.0
+"""Rate of climb to the start."""
 _ON_DECK_M = 0.15
+"""Height of the body's origin over the pad below which it stands there."""
 _REST_S = 4.0
 """Distance ahead of the start at which a vehicle stops that is to begin at rest: the way of the start in this time, s."""
 

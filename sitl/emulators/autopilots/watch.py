@@ -23,6 +23,7 @@ from sitl.flight.limits import ON_DECK_M
 from sitl.world.truth import RenderedFrame
 
 _WATCH_EACH_S = 0.05
+"""Interval between two looks of the referee, as in an AR.Drone's flight."""
 _LANDS = frozenset({*mavlink.LAND_MODE.values(), *mavlink.RETURN_MODE.values()})
 """Modes in which an autopilot lands by itself, here or where it started."""
 _LAPSES_S = 3.0

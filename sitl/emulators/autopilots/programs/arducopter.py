@@ -33,6 +33,7 @@ from sitl.vehicle.airframe import Airframe
 from sitl.world.drives import Motors
 
 PORT = 9002
+"""UDP port of the JSON interface. Source: libraries/SITL/examples/JSON/readme.md."""
 _MAGIC = {18458: 16, 29569: 32}
 """Number of channels by magic number of a packet."""
 _HEADER = struct.Struct("<HHI")
@@ -46,6 +47,7 @@ PARAMETERS = parameters_of("arducopter.parm")
 CURVE = PARAMETERS["MOT_THST_EXPO"]
 """The curve of its motors' thrust, which ArduCopter assumes by default."""
 _REFERENCE_M_S = 10.0
+"""Speed at which both drags are equal (refSpd)."""
 OWN: dict[str, float] = {
     **{name: value for name, value in PARAMETERS.items() if not name.startswith("ATC_")},
     # A lidar whose readings come by MAVLink, and a wind that does not grow with height

@@ -17,10 +17,12 @@ from estimator.contracts.errors import BadInput, Recoverable
 GUIDE = "docs/sitl.md"
 OUTPUT = "output.txt"
 _END_S = 0.5
+"""Time in which a program ends that is asked to, before it is killed."""
 _HOST = "127.0.0.1"
 _PORTS = range(24_000, 32_000)
 """Ports below those that Linux hands out by itself (net.ipv4.ip_local_port_range, from 32768)."""
 _PR_SET_PDEATHSIG = 1
+"""Option of prctl(2)."""
 
 
 def parameters_of(name: str) -> dict[str, float]:

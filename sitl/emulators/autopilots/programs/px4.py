@@ -29,6 +29,7 @@ from sitl.sensors.sensors import ORIGIN
 from sitl.world.drives import Motors
 
 PHYSICS_PORT = 4560
+"""TCP port to which PX4's first instance connects (simulator_mavlink)."""
 MAVLINK_PORTS = (14540, 14550)
 STEP_S = 0.004
 """Step of the physics, s: PX4's start-up files set IMU_INTEG_RATE to 250 Hz in simulation."""
@@ -37,7 +38,9 @@ PARAMETERS = parameters_of("px4.parm")
 OWN = {"SIH_DISTSNSR_OVR": 10_000.0}
 """The parameters for PX4's own vehicle (SIH): its lidar, which knows nothing of our deck, is off."""
 _ALL_SENSORS = 0x1FFF
+"""fields_updated of HIL_SENSOR with every field."""
 _ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED."""
 _GNSS_S = 0.1
 """Interval of HIL_GPS."""
 _NUDGE_S = 0.004

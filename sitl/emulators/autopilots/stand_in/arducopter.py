@@ -25,6 +25,7 @@ from sitl.vehicle.airframe import Airframe, ardrone2
 from sitl.world.drives import Motors
 
 _ROOT = math.sqrt(2.0)
+"""Twice the damping of a Butterworth filter of the second order."""
 
 
 class LowPass:
@@ -75,10 +76,13 @@ _ACCEL_MEAN_S = 0.16
 _IDLES = 0.1
 """Command of a motor while it is armed, at the least (MOT_SPIN_ARM's default)."""
 _RAMP_S = 0.5
+"""Time in which its rotors spool up for a take-off (MOT_SPOOL_TIME)."""
 _TARGET_S = 0.15
 """Time constant of the target's position and velocity in the precision-landing estimator."""
 _SLOW_BELOW_M = 10.0
+"""Height below which it lands by LAND_SPEED (LAND_ALT_LOW)."""
 _SEEN_S = 2.0
+"""Time without a target after which it is lost (LANDING_TARGET_TIMEOUT_MS of AC_PrecLand)."""
 
 
 class CopterStandIn(StandIn):

@@ -17,6 +17,7 @@ VELOCITY_S = 0.032
 _LIFT_FILTER_S = 0.016
 """Time constant of the filter of the vertical acceleration's error, 10 Hz (PSC_ACCZ_FLTE)."""
 _LIFT_MAX_M_S2 = 6.0
+"""Largest integral of the vertical acceleration's error: full thrust has some 10 m/s^2 to spare."""
 
 
 def command_of(fraction: float, curve: float) -> float:

@@ -46,6 +46,7 @@ _LOST = "Failsafe activated: Offboard signal lost, entering Hold"
 _LOW_THRUST, _NO_THRUST = 0.6, 0.1
 """Thrusts of the land detector between the least and hovering: possible contact with the ground, and no thrust."""
 _WANTS_UP_M_S = 0.3
+"""Climb from which on the thrust ramps up for a take-off. Source: Takeoff.cpp of mc_pos_control."""
 _MEASURED = 0b111111 | 1 << 9
 """Bits of HIGHRES_IMU's fields_updated: acceleration, turn rate and pressure."""
 
