@@ -71,6 +71,8 @@ class StatusRecord(Struct, frozen=True, omit_defaults=True):
     """The vehicle's own limit of the jerk along the ground."""
     tilt_max_deg: float | None = None
     """The vehicle's own limit of its tilt."""
+    others_at: int | None = None
+    """Newest time at which somebody else chose for the vehicle, as in `stamp`, ns; orders from before it are not followed."""
 
 
 class Pose6Record(Struct, frozen=True):

@@ -50,7 +50,7 @@ def over_the_wire(record: R) -> R:
         make.baro(1.0, 12.5),
         make.vessel(1.0, (1.0, 2.0, 0.0), 0.3),
         make.vessel(1.0),
-        make.status(1.0, None, "hovering", taken="the pilot took over"),
+        make.status(1.0, None, "hovering", taken="the pilot took over", others_at=MonoNs(900_000_000)),
     ],
     ids=lambda sample: type(sample).__name__,
 )

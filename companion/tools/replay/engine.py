@@ -32,7 +32,7 @@ from companion.settings.load import Settings, load
 from drivers.clock import SetClock
 from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, Sighting
-from estimator.contracts.samples import Frame, Sample
+from estimator.contracts.samples import Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
 from estimator.vision.detection import Detection
 
@@ -149,6 +149,8 @@ class Replay:
 
     def _sample(self, recorded: Sample) -> None:
         sample = structs.replace(recorded, stamp=self._moved(recorded.stamp))
+        if isinstance(sample, VehicleStatus) and sample.others_at is not None:
+            sample = structs.replace(sample, others_at=MonoNs(sample.others_at + self._shift_ns))
         self.counts.samples += 1
         for result in self._cycle.samples((sample,), sample.stamp.received_at)[0]:
             self._hash.update(f"{result.path} {type(sample).__name__} {result.verdict.value}".encode())
