@@ -3,6 +3,7 @@
 import ast
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,6 +22,10 @@ REMOVABLE = (
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 TESTS = {"imports of others' files": ("tests/companion/test_config_import.py",)}
 """Tests of a capability by its command alone, which import nothing of it."""
+RIGS = {"AR.Drone": r'load\w*\("sim"|kind"?(?:: | = |=)"ardrone"'}
+"""Text of tests that stand on a capability's own rig: the profile `sim` is an AR.Drone's."""
+CONFTEST = "tests/conftest.py"
+"""Imports in the bodies of its fixtures alone, so that it stays; tests that use a fixture that imports what is gone go."""
 BUILT = ("estimator/core", "sitl/core")
 LEFT_OUT = (
     "qualification/", "tests/benches/", "tests/companion/test_capabilities.py", "tests/docs/", "tests/fuzz/", "tests/mutants/",
@@ -42,7 +47,7 @@ def modules_of(paths: Iterable[str]) -> set[str]:
 
 
 def names_in(text: str) -> set[str]:
-    """Return the dotted names that a file of tests imports, and names of modules that it mentions as text."""
+    """Return the dotted names that a file of tests imports, names of modules that it mentions as text, and fixtures."""
     found = set[str]()
     for node in ast.walk(ast.parse(text)):
         match node:
@@ -52,7 +57,15 @@ def names_in(text: str) -> set[str]:
                 found |= {module, *(f"{module}.{alias.name}" for alias in names)}
             case ast.Constant(value=str(value)):
                 found.add(value)
+            case ast.arg(arg=name):
+                found.add(name)
     return found
+
+
+def lost_fixtures(gone: set[str]) -> set[str]:
+    """Return the names of the fixtures that import what is gone."""
+    functions = (node for node in ast.parse((ROOT / CONFTEST).read_text()).body if isinstance(node, ast.FunctionDef))
+    return {one.name for one in functions if any(within(name, gone) for name in names_in(ast.unparse(one)))}
 
 
 def kept_without(owner: str) -> list[str]:
@@ -60,12 +73,15 @@ def kept_without(owner: str) -> list[str]:
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
     gone = modules_of(path for path in listed if path.startswith(OWNERS[owner]))
     files = [path for path in listed if not path.startswith((*OWNERS[owner], *TESTS.get(owner, ()), *LEFT_OUT))]
-    tests = {path: names_in((ROOT / path).read_text()) for path in files if path.startswith("tests/") and path.endswith(".py")}
-    while lost := [path for path, names in tests.items() if any(within(name, gone) for name in names)]:
-        gone |= modules_of(lost)
+    texts = {path: (ROOT / path).read_text() for path in files if path.startswith("tests/") and path.endswith(".py")}
+    tests = {path: names_in(text) for path, text in texts.items() if path != CONFTEST}
+    lost = [path for path in tests if owner in RIGS and re.search(RIGS[owner], texts[path])]
+    while lost := [*lost, *(path for path, names in tests.items() if any(within(name, gone) for name in names))]:
+        gone |= modules_of(lost) | lost_fixtures(gone | modules_of(lost))
         for path in lost:
-            del tests[path]
-    return [path for path in files if path in tests or not (path.startswith("tests/") and path.endswith(".py"))]
+            tests.pop(path, None)
+        lost = []
+    return [path for path in files if path in {*tests, CONFTEST} or path not in texts]
 
 
 def within(name: str, gone: set[str]) -> bool:
@@ -99,6 +115,8 @@ def test_the_rest_imports_and_passes_its_fast_tests(tree: Path) -> None:
 
 
 def test_a_drone_lands_without_it(tree: Path) -> None:
-    flight = ("calm", "--perception", "model", "--autopilot", "arducopter", "--json")
-    flown = ran_in(tree, "-m", "companion.cli.main", "simulate", *flight)
-    assert json.loads(flown)["landed_on_pad"] is True
+    flight = ("calm", "--perception", "model", "--json")
+    for autopilot in ((), ("--autopilot", "px4")):  # the first is the AR.Drone, or without it ArduCopter in miniature
+        flown = json.loads(ran_in(tree, "-m", "companion.cli.main", "simulate", *flight, *autopilot))
+        assert flown["landed_on_pad"] is True
+        assert flown.get("autopilot") == ("px4" if autopilot else None if (tree / "sitl/ardrone").exists() else "arducopter")

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from companion.cli.options import option
+from companion.settings.capabilities import installed_vehicles, vehicle_kind
 from companion.settings.load import find_file, shipped
 from companion.settings.model import Settings
 from companion.settings.overrides import warn_of_idle
@@ -50,17 +51,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def choose_vehicle(args: argparse.Namespace) -> None:
     """Let `--vehicle` replace the scenario's vehicle; one with an autopilot is flown by it, ArduCopter's unless another is named.
 
+    Where no vehicle that flies by itself is installed, ArduCopter flies the scenario's.
+
     Raises:
-        BadInput: there is no such vehicle, or `--set` names one too.
+        BadInput: there is no such vehicle, or it is not installed, or `--set` names one too.
     """
     if args.vehicle is None:
+        alone = any(kind.flight for kind in installed_vehicles()) or vars(args).get("follow") is not None
+        args.autopilot = args.autopilot or (None if alone else "arducopter")
         return
     if any(one.startswith("vehicle.file=") for one in args.set):
         raise BadInput("--vehicle sets vehicle.file: give one of them")
     name = ARDRONE if args.vehicle == "ardrone" else args.vehicle
     find_file(name, "vehicles", Path(), "--vehicle")
     args.set = [f"vehicle.file={name}", *args.set]
-    if name != ARDRONE:
+    if name == ARDRONE:
+        vehicle_kind("ardrone")
+    else:
         args.autopilot = args.autopilot or "arducopter"
 
 
