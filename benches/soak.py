@@ -1,9 +1,9 @@
-"""Land again and again in one process, each flight graded, and watch memory, descriptors, threads and tasks for leaks.
+"""Land again and again in one process, and watch memory, descriptors, threads and tasks for leaks.
 
 `python -m benches.soak demo --virtual --hours 2` flies two hours of simulated flight, each flight with its own seed and fault;
-without --virtual the landing service flies the simulated drone through sockets in real time. The exit code is 1 if a flight
-failed, if the machine was too slow for over half of them, or if after warm-up memory grew by 1 %, or descriptors, threads or
-tasks by one. The resources are read from /proc, so a soak needs Linux.
+without --virtual the landing service flies the simulated drone through sockets in real time. Campaigns judge flights; here the
+exit code is 1 if after warm-up memory grew by 1 %, or descriptors, threads or tasks by one. The resources are read from /proc,
+so a soak needs Linux.
 """
 
 import argparse
@@ -12,33 +12,25 @@ import gc
 import json
 import os
 import resource
-import shlex
 import signal
 import sys
-import tempfile
 import time
-import weakref
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any, Generic, TypeVar
 
 import msgspec
 from msgspec import Struct, field
 
 from benches.options import described, parsed
 from companion.base import event_loop, memory
-from companion.base.health import Health
-from companion.base.mission import REFUSALS, FlightOutcome
-from companion.guidance.pilot import Pilot, make_pilot
+from companion.guidance.pilot import make_pilot
 from companion.service.assemble import make_daemon
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable, SetupImpossible
-from estimator.contracts.estimates import Verdict
-from sitl.flight.ending import AtEnd, Grade, Load, grade
-from sitl.flight.one_flight import FlyOptions, fly
+from sitl.flight.one_flight import fly
 from sitl.perception.levels import perceive, represents
 from sitl.scenario.scenario import Scenario, load
 from sitl.scenario.settings import settings_for
@@ -176,142 +168,26 @@ def warm_up_s(readings: Sequence[Reading]) -> float:
     return max(usual_s, next(reading.at_s for reading in readings if reading.flights >= WARM_UP_FLIGHTS))
 
 
-T = TypeVar("T")
-STARVED_MAX = 0.5
-"""Share of the flights that may go unjudged before the run itself means nothing."""
 OPERATOR_WAIT_S = 15.0
 """Longest wait of the pilot for an operator: nobody is there, and a scenario's time must not end before the wait."""
-_READ_EACH_S = 5.0
-_SAY_EACH_S = 60.0
-_DECIDED_S = 2
-"""Seconds in which the pilot learns that a flight has ended; the next flight begins later."""
-
-
-class Flown(Struct, frozen=True):
-    """One flight."""
-
-    seed: int
-    title: str
-    """The scenario's title, with its fault behind a semicolon."""
-    worth: Grade
-    because: str
-
-
-def fault_of(title: str) -> str:
-    """Return the fault of a flight, which its scenario's title names last."""
-    return title.rpartition("; ")[2]
-
-
-def real(
-    said: dict[str, Any],
-    outcome: FlightOutcome | None,
-    frames: Counter[Verdict],
-    guidance_late_s: float | None = None,
-) -> Flown:
-    """Return the result of a flight in real time.
-
-    Args:
-        said: the line of `sitl.emulators.ardrone.serve` about it.
-        outcome: the pilot's outcome when the flight had ended.
-        frames: what the daemon made of its frames.
-        guidance_late_s: median of what guidance cycles came late at the end of the flight, seconds.
-    """
-    if said["ended"] == "time is up" and outcome not in REFUSALS:
-        outcome = None  # the simulator switched the drone off in the air, which the pilot takes for an emergency
-    landed_m = said["lateral_m"] if said["on_pad"] else None
-    worth, because = grade(outcome, landed_m, said["unsafe"], said["expect"], AtEnd(left_alone=said["left_alone"]))
-    load = Load(said["frames_due"], said["frames_sent"], said["stood_still_s"], frames, guidance_late_s)
-    if worth is Grade.FAILED and (slow := load.starved()) is not None:
-        worth, because = Grade.STARVED, f"{slow} ({because})"
-    return Flown(said["seed"], said["title"], worth, because)
-
-
-class Records(Generic[T]):
-    """Records in the order in which they came, in a temporary file.
-
-    What the run remembers of itself must not look like growth of what it watches: a day of flights is thousands of records of
-    half a kilobyte, some per cent of the process' memory.
-
-    Args:
-        kind: the type of the records, a structure of msgspec.
-    """
-
-    def __init__(self, kind: type[T]) -> None:
-        self._encoder, self._decoder = msgspec.json.Encoder(), msgspec.json.Decoder(kind)
-        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - it lives as long as the records
-        weakref.finalize(self, self._file.close)
-        self._written = 0
-
-    def append(self, record: T) -> None:
-        """Add a record."""
-        self._file.write(self._encoder.encode(record) + b"\n")
-        self._written += 1
-
-    def __len__(self) -> int:
-        return self._written
-
-    def __iter__(self) -> Iterator[T]:
-        # A place of its own in the file, so that records may come while one reads.
-        with open(f"/proc/self/fd/{self._file.fileno()}", "rb") as lines:
-            for _, line in zip(range(self._written), lines, strict=False):
-                yield self._decoder.decode(line)
+_READ_EACH_S = 60.0
 
 
 class Tally(Struct):
-    """The flights and the resource readings so far."""
+    """The flights' endings and the resource readings so far."""
 
-    flights: list[Flown] | Records[Flown] = field(default_factory=lambda: Records(Flown))
-    readings: Records[Reading] = field(default_factory=lambda: Records(Reading))
-    began: float = field(default_factory=time.monotonic)
     endings: Counter[str] = field(default_factory=Counter)
-    flown_s: float = 0.0
-    _said: float = 0.0
-
-    def count(self, worth: Grade) -> int:
-        """Return the number of flights of one class."""
-        return sum(flight.worth is worth for flight in self.flights)
-
-    def flown(self, ending: str, flight: Flown) -> None:
-        """Add a flight that has ended."""
-        self.endings[ending] += 1
-        self.flights.append(flight)
+    readings: list[Reading] = field(default_factory=list)
+    began: float = field(default_factory=time.monotonic)
 
     def take(self, tasks: int | None) -> None:
-        """Take a reading of the process, and print a line about it every minute."""
-        reading = read(time.monotonic() - self.began, len(self.flights), tasks)
+        """Take a reading of the process, and print a line about it."""
+        reading = read(time.monotonic() - self.began, self.endings.total(), tasks)
         self.readings.append(reading)
-        if reading.at_s - self._said >= _SAY_EACH_S:
-            self._said = reading.at_s
-            sys.stderr.write(
-                f"{reading.at_s / 60:5.0f} min  {len(self.flights)} flights, {self.count(Grade.ON_PAD)} on the pad, "
-                f"{self.count(Grade.FAILED)} failed  {reading.memory_mib:.1f} MiB  "
-                f"{reading.descriptors} descriptors  {reading.threads} threads\n"
-            )
-
-    def faults(self, failed_max: int) -> list[str]:
-        """Return why the flights make the run fail; empty if they do not."""
-        output = []
-        failed, starved = self.count(Grade.FAILED), self.count(Grade.STARVED)
-        if failed > failed_max:
-            output.append(f"{failed} of {len(self.flights)} flights failed" + (f", more than {failed_max}" if failed_max else ""))
-        if starved > STARVED_MAX * len(self.flights):
-            output.append(f"this machine was too slow for {starved} of {len(self.flights)} flights, so the run shows nothing")
-        return output
-
-    def in_words(self, scenario: str) -> list[str]:
-        """Return lines of counts, and a line for each flight that failed or was not judged."""
-        endings = ", ".join(f"{n} {name}" for name, n in sorted(self.endings.items()))
-        counts = ", ".join(f"{n} {worth.value}" for worth in Grade if (n := self.count(worth)))
-        lines = [f"{len(self.flights)} flights in {self.flown_s / 3600:.2f} h: {endings}", f"outcomes   {counts or 'none'}"]
-        for flight in self.flights:
-            if flight.worth in (Grade.FAILED, Grade.STARVED):
-                lines.append(f"  seed {flight.seed}, {fault_of(flight.title)}: {flight.worth.value}: {flight.because}")
-        failed = next((flight for flight in self.flights if flight.worth is Grade.FAILED and "; " in flight.title), None)
-        if failed is not None:
-            words = ["python", "-m", "benches.soak", scenario, "--virtual", "--runs", "1", "--seed", str(failed.seed)]
-            again = shlex.join([*words, "--fault", fault_of(failed.title)])
-            lines.append(f"  to fly the first failed one again: {again}")
-        return lines
+        sys.stderr.write(
+            f"{reading.at_s / 60:5.0f} min  {reading.flights} flights  {reading.memory_mib:.1f} MiB  "
+            f"{reading.descriptors} descriptors  {reading.threads} threads\n"
+        )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -323,19 +199,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, help="with --virtual: number of flights, in place of --hours")
     parser.add_argument("--seed", type=int, default=1, help="seed of the first flight")
     parser.add_argument("--no-faults", action="store_true")
-    parser.add_argument("--fault", metavar="NAME", help="with --virtual: fly this fault in every flight")
     parser.add_argument("--perception", default="pixels", help="with --virtual: pixels, model or truth")
-    parser.add_argument("--failed-max", type=int, default=0, metavar="N", help="allow this many failed flights")
     args = parsed(parser, "calm --virtual --runs 12 --perception truth --no-faults", argv)
-    if not args.virtual and (args.runs is not None or args.fault or args.perception != "pixels"):
-        parser.error("--runs, --fault and --perception need --virtual")
+    if not args.virtual and (args.runs is not None or args.perception != "pixels"):
+        parser.error("--runs and --perception need --virtual")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    scenario = load(args.scenario)
+    scenario, tally, interrupted = load(args.scenario), Tally(), False
     settings = flown_settings(settings_for(scenario, None))
-    if args.fault is not None:
-        perceive(args.perception, None).refuse(faulty(scenario, args.seed, possible=lambda _: True, name=args.fault).faults)
-    interrupted = False
-    tally = Tally()
     try:
         if args.virtual:
             _virtually(args, scenario, settings, tally)
@@ -343,13 +213,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             event_loop.run(_really(args, settings, tally))
     except KeyboardInterrupt:
         interrupted = True
-    readings = list(tally.readings)
-    found = findings(readings, warm_up_s(readings)) if readings else None
-    faults = tally.faults(args.failed_max)
-    lines = tally.in_words(args.scenario)
-    lines += ["too short to measure growth"] if found is None else found.in_words(args.virtual)
-    print("\n".join([*lines, *(f"FAULT: {fault}" for fault in [*faults, *(found.faults if found is not None else ())])]))
-    return 130 if interrupted else int(found is None or bool(found.faults or faults))
+    found = findings(tally.readings, warm_up_s(tally.readings)) if tally.readings else None
+    print(f"{tally.endings.total()} flights: {', '.join(f'{n} {name}' for name, n in sorted(tally.endings.items()))}")
+    lines = ["too short to measure growth"] if found is None else found.in_words(args.virtual)
+    faults = found.faults if found is not None else []
+    print("\n".join([*lines, *(f"FAULT: {fault}" for fault in faults)]))
+    return 130 if interrupted else int(found is None or bool(faults))
 
 
 def flown_settings(settings: Settings) -> Settings:
@@ -362,22 +231,13 @@ def flown_settings(settings: Settings) -> Settings:
 
 
 def _virtually(args: argparse.Namespace, scenario: Scenario, settings: Settings, tally: Tally) -> None:
-    seed, level = args.seed, perceive(args.perception, None)
-    # A fault costs tries, and the scenario's time was chosen without it. A flight is graded when it has ended; one that is cut in
-    # its third try shows nothing about the fourth.
-    longer_s = 0.0 if args.no_faults else settings.guidance.tries.landing_s
-    rarer = FlyOptions(overtime_s=longer_s)
-    while len(tally.flights) < args.runs if args.runs is not None else tally.flown_s < 3600.0 * args.hours:
-        wanted = scenario
-        if not args.no_faults:
-            wanted = faulty(scenario, seed, possible=lambda s: represents(level, s.faults), name=args.fault)
-        ending = fly(args.scenario, wanted, seed, settings, args.perception, options=rarer)
-        judged = ending.judged
-        assert judged is not None
-        flight = Flown(seed, wanted.title, judged.grade, judged.because)
-        tally.flown("time is up" if ending.outcome is None else ending.outcome.value, flight)
-        tally.flown_s += ending.duration_s
-        del ending, judged, flight
+    seed, level, flown_s = args.seed, perceive(args.perception, None), 0.0
+    while tally.endings.total() < args.runs if args.runs is not None else flown_s < 3600.0 * args.hours:
+        wanted = scenario if args.no_faults else faulty(scenario, seed, possible=lambda s: represents(level, s.faults))
+        ending = fly(args.scenario, wanted, seed, settings, args.perception)
+        tally.endings["time is up" if ending.outcome is None else ending.outcome.value] += 1
+        flown_s += ending.duration_s
+        del ending
         give_back()
         tally.take(None)
         seed += 1
@@ -400,13 +260,12 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
             raise Recoverable("the simulated drone ended before it was ready; see its output above")
         ports = {f"{name}_port": port for name, port in json.loads(first)["ports"].items()}
         settings = msgspec.structs.replace(settings, vehicle=msgspec.structs.replace(settings.vehicle, **ports))
-        pilot = make_pilot(settings)
-        daemon = make_daemon(settings, pilot, clock=SystemClock())
+        daemon = make_daemon(settings, make_pilot(settings), clock=SystemClock())
         tally.began = time.monotonic()
         tally.take(len(asyncio.all_tasks()))
         async with asyncio.TaskGroup() as group:
             flying = group.create_task(daemon.run())
-            listening = group.create_task(_listen(child.stdout, tally, pilot, daemon.health))
+            listening = group.create_task(_listen(child.stdout, tally))
             reading = group.create_task(_read(tally))
             await asyncio.wait({flying, listening}, timeout=3600.0 * args.hours, return_when=asyncio.FIRST_COMPLETED)
             ended_early = listening.done()
@@ -416,24 +275,15 @@ async def _really(args: argparse.Namespace, settings: Settings, tally: Tally) ->
         if ended_early:
             raise Recoverable("the simulated drone ended; see its output above")
     finally:
-        tally.flown_s = time.monotonic() - tally.began
         child.stdin.close()
         await child.communicate()
 
 
-async def _listen(lines: asyncio.StreamReader, tally: Tally, pilot: Pilot, health: Health) -> None:
-    before: Counter[Verdict] = Counter()
+async def _listen(lines: asyncio.StreamReader, tally: Tally) -> None:
     async for line in lines:
         printed = json.loads(line)
         if printed.get("event") == "flight":
-            for _ in range(_DECIDED_S * 20):
-                if pilot.outcome is not None or printed["ended"] == "time is up":
-                    break
-                await asyncio.sleep(0.05)  # the drone says that it landed before the pilot knows of it
-            frames = health.frames - before
-            before = Counter(health.frames)
-            late_s = late.quantiles(0.5)[0] if (late := health.delays.get("guidance_late")) is not None else None
-            tally.flown(printed["ended"], real(printed, pilot.outcome, frames, late_s))
+            tally.endings[printed["ended"]] += 1
 
 
 async def _read(tally: Tally) -> None:

@@ -12,8 +12,15 @@ from pathlib import Path
 from shutil import copy
 from typing import Any
 
-import hypothesis
 import pytest
+
+# Where bytecode is not to lie beside its source it lies in the environment: else each process compiles us and Hypothesis again.
+if sys.dont_write_bytecode and not sys.pycache_prefix:
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = f"{sys.prefix}/bytecode"
+    sys.dont_write_bytecode = False
+
+import hypothesis
 
 # A busy machine is no failure: no example is timed. Every run has the same examples; others come by --hypothesis-profile=drawn.
 hypothesis.settings.register_profile("drawn", deadline=None)
@@ -27,12 +34,6 @@ for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 # Services of different workers must not meet at one local socket.
 os.environ["XDG_RUNTIME_DIR"] = f"{tempfile.gettempdir()}/decklander-tests-{os.getpid()}"
 os.environ.pop("RUNTIME_DIRECTORY", None)
-
-# Where bytecode is not to lie beside its source it lies in the environment: else each process compiles us again.
-if sys.dont_write_bytecode and not sys.pycache_prefix:
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = f"{sys.prefix}/bytecode"
-    sys.dont_write_bytecode = False
 
 ROOT = Path(__file__).parents[1]
 SLOW = (ROOT / "tests/slow.txt").read_text(encoding="ascii").split()

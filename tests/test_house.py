@@ -157,12 +157,11 @@ def findings() -> dict[str, tuple[Collection[Any], Collection[Any], set[str], se
     found: dict[str, tuple[Collection[Any], Collection[Any], set[str], set[str]]] = {}
     for name, text in sources():
         tree, top = ast.parse(text), name.partition("/")[0]
-        nodes = list(ast.walk(tree))
+        nodes = list(ast.walk(tree)) if top in PACKAGES else []
         calls = (getattr(n, "func", n) for n in nodes if top == "estimator" and isinstance(n, ast.Call | ast.Attribute))
-        tops = {alias.name.partition(".")[0] for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-        tops |= {(node.module or "").partition(".")[0] for node in nodes if isinstance(node, ast.ImportFrom) and not node.level}
+        tops = set(re.findall(r"^ *(?:import|from) (\w+)[\w.]*(?: as \w+| import .*)?(?:  #.*)?$", text, re.MULTILINE))
         docs = hard_to_read(tree, words=top not in ("tests", "qualification"))
-        found[name] = docs, hard_messages(nodes) if top in PACKAGES else (), IMPURE_CALLS & {*map(ast.unparse, calls)}, tops
+        found[name] = docs, hard_messages(nodes), IMPURE_CALLS & {*map(ast.unparse, calls)}, tops
     return found
 
 

@@ -16,9 +16,7 @@ import numpy as np
 from msgspec import structs
 
 from companion.base.health import Health
-from companion.base.mission import FLOWN
 from companion.base.observer import Decision, Observer
-from companion.guidance.operator.precedence import ControlSituation
 from companion.guidance.pilot import Pilot
 from companion.settings.model import Settings
 from drivers.ardrone import at
@@ -167,13 +165,8 @@ class Flight:
         now = self._tick()
         if now is None:
             return False
-        if self._gone:
-            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
-            return not ended and seconds_between(self.world.started, now) < self._limit_s
-        if self.pilot.outcome is not None:
-            return False
-        left_s = self._limit_s - seconds_between(self.world.started, now)
-        return left_s > 0.0 or (left_s > -self._timing.overtime_s and self._tries(now))
+        over = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY) if self._gone else self.pilot.outcome is not None
+        return not over and seconds_between(self.world.started, now) < self._limit_s
 
     def afterwards(self) -> Afterwards:
         """Go on after the outcome, and return what came of it.
@@ -219,11 +212,6 @@ class Flight:
             self._grader.referee.died(f"{type(why).__name__}: {why} ({place.filename.rpartition('/')[2]}:{place.lineno})")
             return None
         return now
-
-    def _tries(self, now: MonoNs) -> bool:
-        """Return whether guidance commands and is trying to land, so that an outcome will come."""
-        situation = self.pilot.operator.situation(now)
-        return self.pilot.state in FLOWN and situation in (ControlSituation.GUIDED, ControlSituation.LANDING)
 
     def _serve(self, now: MonoNs) -> None:
         """Run the service for one tick."""

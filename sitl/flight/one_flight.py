@@ -19,7 +19,7 @@ from estimator.contracts.estimates import PathName
 from sitl.camera.render_worker import render_worker
 from sitl.flight.afterwards import cpu_s
 from sitl.flight.ending import Ending
-from sitl.flight.stepped import Timing, new_flight
+from sitl.flight.stepped import new_flight
 from sitl.perception.levels import perceive
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import Scenario
@@ -61,8 +61,6 @@ class FlyOptions(Struct, frozen=True):
     """Receives the true state every 20 ms, at every exposure of a frame, and at the end."""
     render_beside: bool = False
     """Frames are rendered in a process of their own. The same bits, sooner where a second core is idle."""
-    overtime_s: float = 0.0
-    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
     on_pilot: Callable[[Pilot], None] | None = None
     """Receives the service's pilot before the first step: what its estimator answers changes no flight."""
 
@@ -93,9 +91,8 @@ def fly(
     scenario = msgspec.structs.replace(scenario, wrong_model=scenario.wrong_model.drawn(seed))
     seen_by = perceive(perception, options.perception_model)
     renew = partial(seen_by.pilot, settings, options.shadows)
-    timing = Timing(overtime_s=options.overtime_s)
     began_s, pilot = cpu_s(), renew()
-    flight = new_flight(scenario, seed, settings, pilot, observers=observers, timing=timing, renew=renew, perception=seen_by)
+    flight = new_flight(scenario, seed, settings, pilot, observers=observers, renew=renew, perception=seen_by)
     flight.contained = True
     if options.on_start is None:
         flight.unwatched()

@@ -22,7 +22,7 @@ from sitl.world.world import World
 
 
 class Timing(Struct, frozen=True):
-    """The delays of the simulated service, and the end of its time."""
+    """The delays of the simulated service."""
 
     frame_period_s: float | None = None
     """None: as the vehicle is configured."""
@@ -30,8 +30,6 @@ class Timing(Struct, frozen=True):
     """Delay from mid-exposure to the frame's arrival: half the exposure, encoder, link, decoder."""
     vision_s: float = VISION_S
     """Time that vision takes for a frame."""
-    overtime_s: float = 0.0
-    """Further time beyond the scenario's for a flight whose guidance is still trying to land."""
 
 
 class SteppedFlight(Protocol):

@@ -1,6 +1,7 @@
 """Every kind of fault begins, and changes something, on every vehicle that carries it."""
 
 import tomllib
+from collections.abc import Iterator
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -136,10 +137,10 @@ VEHICLES: dict[str, Any] = {
 }
 
 
-def shows(vehicle: str, fault: Fault | None, looks: int, *, rendered: bool) -> list[str]:
-    """Return all that a flight shows, look by look."""
+def shows(vehicle: str, fault: Fault | None, looks: int, *, rendered: bool) -> Iterator[str]:
+    """Yield all that a flight shows, look by look, or its last picture alone."""
     flown = VEHICLES[vehicle](fault)
-    world, person, out = flown.world, Person(), []
+    world, person = flown.world, Person()
     reporter, scenes = VesselReporter(world), Scenes(world.camera, world)
     acts = SimulatedPerson(world.faults, by_remote=person.orders.append)
     for n in range(1, looks + 1):
@@ -148,7 +149,7 @@ def shows(vehicle: str, fault: Fault | None, looks: int, *, rendered: bool) -> l
         frame = None if rendered else world.expose(camera=scenes.expose)()
         scene = next(reversed(scenes._scenes.values()), None)
         truth = world.truth()
-        out.append(repr([
+        yield "" if rendered else repr([
             reported, list(person.orders), world.reached, world.faults.service_gone, world.battery,
             *(world.corruptions.of("sighting", (1.0, 2.0, 3.0), world.at),),
             [msgspec.structs.astuple(r) if isinstance(r, msgspec.Struct) else r for r in reporter.reports(world.at)],
@@ -156,14 +157,15 @@ def shows(vehicle: str, fault: Fault | None, looks: int, *, rendered: bool) -> l
             frame and [frame.px[0, :8, 0], frame.stamp_error_s, frame.true_view],
             scene and [scene.view, scene.focal, scene.light_stops],
             [(stream.silent, stream.delay_s) for stream in (getattr(world.streams, name) for name in STREAMS)],
-        ]))  # fmt: skip
-    return [str(world.expose()().px.tobytes())] if rendered else out
+        ])  # fmt: skip
+    if rendered:
+        yield str(world.expose()().px.tobytes())
 
 
 @cache
 def without(vehicle: str, *, rendered: bool) -> list[str]:
     """Return the same of a flight without a fault."""
-    return shows(vehicle, None, LOOKS if rendered else OF_WIND, rendered=rendered)
+    return list(shows(vehicle, None, LOOKS if rendered else OF_WIND, rendered=rendered))
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)

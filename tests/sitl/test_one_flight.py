@@ -68,18 +68,6 @@ def test_what_is_flown_on_without_a_link_is_reported_and_is_no_blind_descent() -
     assert "while nothing reached it" in ending.judged.because
 
 
-def test_a_flight_whose_guidance_still_tries_goes_on_in_overtime_and_no_other() -> None:
-    """WHY: a soak cut flights in their third try and called them failed."""
-    scenario = near(duration_limit_s=2.0)
-    times = (FlyOptions(overtime_s=longer_s) for longer_s in (0.0, 30.0))
-    cut, whole = (land(scenario, 3, options=options) for options in times)
-    assert (cut.outcome, cut.duration_s) == (None, 2.0)
-    assert whole.outcome is FlightOutcome.LANDED
-    held = [{"kind": "operator", "order": "hold", "at_s": 1.0}]
-    paused = near(duration_limit_s=2.0, faults=held, expect="hold", because="a person holds it")
-    assert land(paused, 3, options=FlyOptions(overtime_s=30.0)).duration_s == 2.0
-
-
 def test_a_link_lost_in_the_descent_ends_on_the_pad_and_what_touched_meanwhile_is_reported() -> None:
     """WHY: it landed by itself up to 1.8 m beside the pad, while guidance took itself to be two metres up."""
     scenario = faulty(load("demo"), 5069, possible=lambda _: True, name="link_lost_4_s")
@@ -203,7 +191,7 @@ def test_it_touches_nothing_before_its_landing(seed: int) -> None:
 def test_after_a_contact_that_nobody_felt_the_pad_a_third_of_a_metre_from_the_estimate_is_the_same_one() -> None:
     """One of three navdata datagrams comes too late to be used; the go-around begins on the pad."""
     wanted = faulty(load("demo"), 2325, possible=lambda _: True, name="faults/navdata_overtaken")
-    assert land(wanted, 2325, level="model", options=FlyOptions(overtime_s=30.0)).good
+    assert land(wanted, 2325, level="model", duration_limit_s=120.0).good
 
 
 def test_from_60_m_away_it_finds_the_ship_and_lands(capsys):
