@@ -138,7 +138,7 @@ class VehicleOptions(CheckedOptions, frozen=True, forbid_unknown_fields=True):
         return ""
 
     def simulated(self, generation: str, tilt_max_deg: float) -> "VehicleOptions":
-        """Return the options with what a simulated vehicle of its kind is: its generation, and the tilt that its loops reach."""
+        """Return the options with what a simulated vehicle of its kind is: links, generation, the tilt that its loops reach."""
         return self
 
     def modes_left(self, mode: str) -> tuple[str, ...]:

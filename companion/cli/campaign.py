@@ -34,7 +34,6 @@ from sitl.perception.levels import perceive
 from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import with_random_faults
 
 _RUNS = 100  # runs where none are given
@@ -143,7 +142,6 @@ def _refuse(args: argparse.Namespace, workers: int) -> None:
         (workers < 1, f"--workers must be 1 or more, got {workers}"),
         (args.workers is not None and args.scheduler, "--workers does not go with --scheduler: the cluster has its own"),
         (args.against and args.report is None, "--against goes with --report"),
-        (args.autopilot and (args.vary or args.map), "--autopilot does not go with --vary or --map"),
     )
     if args.report is not None:
         require_drawing("--report")
@@ -191,17 +189,18 @@ def _plan_of(args: argparse.Namespace, name: str, scenario: Scenario, level: str
     if args.perception_model is not None and perception == "pixels":
         raise BadInput("--perception-model goes with --perception model or truth")
     perceive(perception, args.perception_model)
-    beside = args.autopilot is not None
-    settings = settings_for(scenario, args.config, by_autopilot=beside)
-    given = Overridable(scenario, settings, by_autopilot=beside)
-    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    RelativeEstimator(settings.estimator)  # a path that lacks its library is refused before any flight
-    if beside:
-        refuse_others(name, scenario.faults, "stand-in")
-    plan = plans.make_plan(name, scenario, settings, perception, args.perception_model, tuple(_options(args)))
-    if beside:
-        plan = replace(plan, design=plans.described(f"stand-in of {args.autopilot}", []))
-    return plan, Overridable(scenario, settings)
+    given = flight_options.chosen(args, scenario, by_autopilot=args.autopilot is not None)
+    RelativeEstimator(given.settings.estimator)  # a path that lacks its library is refused before any flight
+    plan = plans.make_plan(name, given.scenario, given.settings, perception, args.perception_model, tuple(_options(args)))
+    if args.autopilot is not None:
+        refuse_others(name, given.scenario.faults, "stand-in")
+        plan = replace(plan, design=plans.described(_flown_as(args, "single scenario"), []))
+    return replace(plan, own=args.config is not None), given
+
+
+def _flown_as(args: argparse.Namespace, kind: str) -> str:
+    """Return the kind of a design; another vehicle's flights are another campaign."""
+    return kind if args.autopilot is None else f"{kind}, {args.autopilot} in miniature"
 
 
 def _options(args: argparse.Namespace) -> Iterator[str]:
@@ -217,23 +216,21 @@ def _design(
     args: argparse.Namespace, plan: plans.CampaignPlan, given: Overridable
 ) -> tuple[plans.CampaignPlan, list[plans.Point]]:
     """Return the plan with its design, and the points at which all seeds are flown."""
-    if args.faults is not None:
-        if args.vary:
-            raise BadInput("--faults does not go with --vary")
-        return _with_random_faults(args, plan, given.scenario), [()]
+    refuse_any((args.faults is not None and args.vary, "--faults does not go with --vary"))
     axes = [plans.parse_axis(text, given, "--vary") for text in args.vary]
     twice = {axis.key for axis in axes} & {text.partition("=")[0] for text in args.set}
     refuse_any((twice, f"--set and --vary both give {', '.join(sorted(twice))}: take one out"))
     points = plans.factorial(axes)
     flight_options.warn(args, [given.with_values(point, "--vary")[1] for point in points])
-    return (replace(plan, design=plans.described("factorial", axes)) if axes else plan), points
+    if args.faults is not None:
+        return _with_random_faults(args, plan, given.scenario), points
+    return (replace(plan, design=plans.described(_flown_as(args, "factorial"), axes)) if axes else plan), points
 
 
 def _with_random_faults(args: argparse.Namespace, plan: plans.CampaignPlan, scenario: Scenario) -> plans.CampaignPlan:
     """Return the plan with faults that each seed draws; raises BadInput where there can be none."""
-    beside = args.autopilot is not None
-    with_random_faults(scenario, args.seed, plan.perception, autopilot=beside)
-    return replace(plan, design=plans.described("random faults" + (f", {args.autopilot}" if beside else ""), []))
+    with_random_faults(scenario, args.seed, plan.perception, autopilot=args.autopilot is not None)
+    return replace(plan, design=plans.described(_flown_as(args, "random faults"), []))
 
 
 def _store(args: argparse.Namespace, plan: plans.AnyPlan, seeds: range) -> FolderStore:

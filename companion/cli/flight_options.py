@@ -1,6 +1,8 @@
 """Options of the commands that simulate flights: how the pad is perceived, and what differs from scenario and settings."""
 
 import argparse
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from companion.cli.options import option
@@ -10,6 +12,9 @@ from companion.settings.model import Settings
 from companion.settings.overrides import warn_of_idle
 from estimator.contracts.errors import BadInput
 from sitl.flight.one_flight import PERCEPTIONS
+from sitl.scenario.overrides import Overridable
+from sitl.scenario.scenario import Scenario
+from sitl.scenario.settings import rig_for
 
 ARDRONE = "ardrone2"
 """The shipped vehicle that flies by itself, without an autopilot."""
@@ -17,7 +22,7 @@ ARDRONE = "ardrone2"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options to a parser."""
-    option(parser, "--config FILE", "settings file to fly with (default: the profile sim with the scenario's camera and pad)")
+    add_settings(parser)
     option(
         parser,
         "--perception LEVEL",
@@ -34,8 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"fly this vehicle instead of the scenario's: ardrone, {others}, or a vehicle file; all but an AR.Drone by an autopilot"
     )
     option(parser, "--vehicle NAME", f"{flown} (default: arducopter)")
-    meaning = "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated"
-    option(parser, "--set KEY=VALUE", meaning, default=[], action="append")
     option(
         parser,
         "--wrong-model SIGMA",
@@ -46,6 +49,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type="wrong_model.sigma={}".format,
     )
+
+
+def add_settings(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose the settings, and change keys of them and of the scenario."""
+    whose = "settings file to fly with: its camera and pad are the simulated world's too"
+    option(parser, "--config FILE", f"{whose} (default: the profile sim with the scenario's camera and pad)")
+    meaning = "give a key of scenario or settings another value, as in wind.speed_m_s=4; may be repeated"
+    option(parser, "--set KEY=VALUE", meaning, default=[], action="append")
+
+
+def chosen(args: argparse.Namespace, scenario: Scenario, *, by_autopilot: bool = False) -> Overridable:
+    """Return scenario and settings as `--config` and `--set` have them; `warn` names what the world replaced.
+
+    Raises:
+        BadInput: as `sitl.scenario.settings.rig_for`, and as `Overridable.with_values`.
+    """
+    rig = rig_for(scenario, args.config, by_autopilot=by_autopilot)
+    args.replaced = dict.fromkeys((*vars(args).get("replaced", ()), *rig.replaced))
+    own = args.config is not None
+    given = Overridable(rig.scenario, rig.settings, own=own)
+    return Overridable(*given.with_values([given.parse(text, "--set") for text in args.set], "--set"), own=own)
+
+
+def notice(config: str | None, replaced: Iterable[str]) -> str:
+    """Return the line that names the keys of a person's file that have another value here; empty if there are none."""
+    keys = ", ".join(dict.fromkeys(replaced))
+    return f"decklander: {config}: replaced by the simulation: {keys}\n" if config is not None and keys else ""
 
 
 def choose_vehicle(args: argparse.Namespace) -> None:
@@ -72,7 +102,8 @@ def choose_vehicle(args: argparse.Namespace) -> None:
 
 
 def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:
-    """Name on standard error what was given and cannot act in a flight by these settings."""
+    """Name on standard error what the world replaced, and what was given and cannot act in a flight by these settings."""
+    sys.stderr.write(notice(args.config, args.replaced))
     blind, truth = args.perception in ("model", "truth"), args.perception == "truth"
     places = {place: True, "a flight without frames, as by --perception model": blind, "a flight by --perception truth": truth}
     warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places)

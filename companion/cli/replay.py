@@ -31,7 +31,7 @@ from companion.parts.mavlink.outputs import Outputs
 from companion.parts.recorder.recorder import Recorder
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import RecordedFrame, Recording, open_recording
-from companion.settings.load import Settings, load
+from companion.settings.load import Settings, camera_model, load
 from companion.settings.overrides import key_and_text, leaves, plain, warn_of_idle, with_overrides
 from companion.tools.replay.engine import OWN, Replay, pilot_of, settings_of, with_files_of
 from companion.tools.replay.recorded_log import Beliefs, Difference, differences, log_of, recorded_beliefs
@@ -179,6 +179,9 @@ def run(args: argparse.Namespace) -> int:
     if args.mavlink and not args.realtime:
         raise BadInput("--mavlink plays to something that lives in real time: say --realtime too")
     settings = with_overrides(settings_of(recording, args.config), args.set, "--set")
+    other = settings if args.against is None else settings_of(recording, args.against)
+    for word, named in (("--config", settings), ("--against", other)):
+        _check_camera(recording, named, word, args)
     blind, changed = "a replay that searches no frames", bool(args.set or args.config)
     if changed:
         places = {"a replay": True, "a replay without --mavlink": not args.mavlink, blind: args.sightings}
@@ -189,7 +192,6 @@ def run(args: argparse.Namespace) -> int:
         recording.watch = WorkProgress(f"replaying {recording.name}", "kB").take
     passes = [replayed(recording, settings, _own(args), args.path, sightings=args.sightings, record=args.record)]
     if args.against is not None:
-        other = settings_of(recording, args.against)
         passes.append(replayed(recording, other, (), args.path, name=args.against, sightings=args.sightings))
     if recording.metadata.get("flight", {}).get("perception") == "truth":
         sys.stderr.write(f"decklander: {recording.name} was flown with --perception truth: its estimate was drawn, not fused\n")
@@ -229,6 +231,22 @@ def _beliefs_beside(recording: Recording, path: Path) -> Beliefs:
     if of[0] != of[1] and not any("of" in flight for flight in of):
         sys.stderr.write(f"decklander: {path} is of another flight than {recording.name}\n")
     return recorded_beliefs(beside)
+
+
+def _check_camera(recording: Recording, settings: Settings, option: str, args: argparse.Namespace) -> None:
+    """Refuse the settings of an option whose camera has frames of another size than the recording, where these are searched.
+
+    Raises:
+        BadInput: it has.
+    """
+    file = getattr(args, option.removeprefix("--"))
+    if file is None or args.sightings:
+        return
+    frames = (event.record for event in recording.events() if isinstance(event, RecordedFrame))
+    camera, first = camera_model(settings), next(frames, None)
+    if first is not None and (first.width, first.height) != (camera.width, camera.height):
+        wrong = f"{option} {file}: its camera has {camera.width}x{camera.height} px, and the frames of {recording.name}"
+        raise BadInput(f"{wrong} {first.width}x{first.height} px: none of them could be searched")
 
 
 def _otherwise(recording: Recording, config: str | None) -> list[str]:
@@ -320,7 +338,8 @@ def _in_words(recording: Recording, passes: Sequence[Pass], compared: dict[str, 
             out += [f"{'against truth':<16}{'count':>7}{heads}", *map(_row, rows)]
         if decks := done.decks():
             out += [f"{'deck by truth':<16}{'count':>7}{'tilt':>9}{'95 %':>8}{'NEES':>8}", *map(_deck_row, decks)]
-        out += [] if rows else ["no truth was recorded: no errors to show"]
+        known = "nothing was estimated" if done.log.truth else "no truth was recorded"
+        out += [] if rows else [f"{known}: no errors to show"]
     for name, found in compared.items():
         out += [_difference(name, d, lossy if name == "the recording" else "") for d in found]
     return out + passes[0].ship.in_words()

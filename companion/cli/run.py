@@ -16,6 +16,7 @@ from companion.guidance.pilot import make_pilot
 from companion.service.assemble import Proven, live, make_daemon
 from companion.service.sole_service import sole_service
 from companion.settings.load import Settings, calibration_file, find_file, load, pad_of_file, shipped, with_known_calibration
+from companion.settings.overrides import with_overrides
 from companion.settings.part_table import PartTable
 from companion.settings.referenced_files import check_files, check_installed
 from companion.settings.remarks import not_checked, remarks
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"settings file, or the name of a shipped vehicle profile ({', '.join(shipped())})",
         required=True,
     )
+    option(parser, "--set KEY=VALUE", "give a key of the settings another value; may be repeated", default=[], action="append")
     option(parser, "--once", "stop after the first flight; exit code 0 if it landed, else 1")
     option(parser, "--check", "check settings and files, print what would run, and stop")
 
@@ -56,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         BadInput: the settings, or a file that they name, cannot be read or have a fault; or another service has the vehicle.
     """
-    settings = load(args.config)
+    settings = with_overrides(load(args.config), args.set, "--set")
     file = find_file(args.config, "", Path(), "settings")
     proven = Proven(settings)
     with nullcontext() if args.check else sole_service(settings, file), proven.excusing():

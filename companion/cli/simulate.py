@@ -27,10 +27,8 @@ from sitl.flight.ending import Ending
 from sitl.flight.one_flight import FlyOptions, fly, perception_level
 from sitl.perception.levels import perceive
 from sitl.perception.port import Level, Perception
-from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import FAULTS, Scenario
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.settings import settings_for
 from sitl.scenario.with_fault import with_random_faults
 
 if TYPE_CHECKING:
@@ -41,8 +39,6 @@ DESCRIPTION = (
     "Simulate one flight in virtual time, without sockets. The same scenario, seed and settings give the same "
     "flight to the bit. Exit code 0 if it landed on the pad safely, or refused as the scenario expects; else 1."
 )
-COMPANION_PORT = 14540
-"""The companion's port in the settings that a recording keeps."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -82,15 +78,14 @@ def run(args: argparse.Namespace) -> int:
         args.set = [f"pad.file={find_file(args.pad, 'pads', Path(), '--pad')}", *args.set]
     if args.follow is not None:
         return run_follow(args)
-    if args.autopilot is not None:
-        return run_autopilot(args, perception)
-    scenario = load_scenario(args.scenario, args.base)
-    settings = settings_for(scenario, args.config)
-    given = Overridable(scenario, settings)
-    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    flight_options.warn(args, [settings])
+    beside = args.autopilot is not None
+    given = flight_options.chosen(args, load_scenario(args.scenario, args.base), by_autopilot=beside)
+    scenario, settings = given.scenario, given.settings
+    flight_options.warn(args, [settings], "a flight with an autopilot" if beside else "a simulated flight")
     if args.faults is not None:
-        scenario = with_random_faults(scenario, args.seed, perception)
+        scenario = with_random_faults(scenario, args.seed, perception, autopilot=beside)
+    if beside:
+        return run_autopilot(args, perception, scenario, settings)
     with keeping(args, settings, scenario.title, perception, {"kind": "simulate"}) as kept:
         began = time.monotonic()
         how = FlyOptions(args.perception_model, kept.shadows, kept.on_start, kept.on_truth, render_beside=True)
@@ -123,18 +118,11 @@ def _refuse(args: argparse.Namespace, perception: Level) -> None:
     )
 
 
-def run_autopilot(args: argparse.Namespace, perception: Level) -> int:
+def run_autopilot(args: argparse.Namespace, perception: Level, scenario: Scenario, settings: Settings) -> int:
     """Fly the scenario; return 0 if it landed on the pad, else 1."""
     from sitl.emulators.autopilots.programs.program import executable
 
     binary = None if args.binary is None else executable(args.binary)
-    scenario = load_scenario(args.scenario, args.base)
-    if args.faults is not None:
-        scenario = with_random_faults(scenario, args.seed, perception, autopilot=True)
-    settings = settings_for(scenario, args.config, by_autopilot=True)
-    given = Overridable(scenario, settings, by_autopilot=True)
-    scenario, settings = given.with_values([given.parse(text, "--set") for text in args.set], "--set")
-    flight_options.warn(args, [settings], "a flight with an autopilot")
     seen_by, began = perceive(perception, args.perception_model), time.monotonic()
     kind = "in miniature" if binary is None else binary.name
     facts = {"kind": "simulate", "autopilot": args.autopilot, "binary": kind}
@@ -208,9 +196,10 @@ def run_follow(args: argparse.Namespace) -> int:
     if scenario.faults:
         kinds = ", ".join(dict.fromkeys(fault.kind for fault in scenario.faults))
         raise BadInput(f"{args.scenario}: its faults ({kinds}) cannot act with --follow")
-    settings = settings_for(scenario, args.config, by_autopilot=True)
+    given = flight_options.chosen(args, scenario, by_autopilot=True)
+    flight_options.warn(args, [given.settings], "a flight with an autopilot")
     with shown(quiet=args.json) as observers:
-        end = event_loop.run(follow(scenario, args.seed, settings, args.follow, observers))
+        end = event_loop.run(follow(given.scenario, args.seed, given.settings, args.follow, observers))
     contacts = () if end.landing is None else (end.landing,)
     ending = Ending(args.scenario, args.seed, end.outcome, contacts, end.duration_s, end.health.frames, end.started)
     more = {"follow": args.follow, "by_truth": end.by_truth, "failure": end.failure or None}

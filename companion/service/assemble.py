@@ -101,18 +101,20 @@ def make_daemon(
     once: bool = False,
     settings_file: Path | None = None,
     log_counts: Callable[[], Mapping[str, float]] | None = None,
+    health: Health | None = None,
 ) -> Daemon:
     """Return a daemon around the pilot, with the vehicle and the parts of the settings.
 
     Args:
         settings_file: the file that the settings were read from, for the page; None if there is none.
         log_counts: returns the counters of the log, for health.
+        health: the health that is shared with what was made before; if absent, a new one is made.
 
     Raises:
         BadInput: a secret, certificate or folder that a part needs cannot be read or used.
     """
     ticking = clock or SystemClock()
-    health = Health(ticking)
+    health = health or Health(ticking)
     if log_counts is not None:
         health.counters("log", log_counts)
     if sources(settings):

@@ -94,7 +94,8 @@ class Daemon:
         self._options = options
         self._period_s = 1.0 / options.guidance_rate_hz
         self._collector = GroundedCollector()
-        self._link: VehicleLink | None = None
+        self.link: VehicleLink | None = None
+        """The open link to the vehicle; None while it is not."""
         self._ended = asyncio.Event()
         self._tracker: Worker | None = None
         self._loaded = False
@@ -139,19 +140,19 @@ class Daemon:
 
     def stop(self) -> None:
         """End `run` soon and cleanly, and release the vehicle to a person."""
-        if self._link is not None:
-            self._link.release()
+        if self.link is not None:
+            self.link.release()
         self._ended.set()
 
     async def _fly(self) -> None:
         async with self._open_link() as link:
-            self._link = link
+            self.link = link
             try:
                 async with asyncio.TaskGroup() as group:
                     group.create_task(uncancelled("hearing the vehicle", lambda: self._read_samples(link)), name="samples")
                     group.create_task(uncancelled("watching its frames", lambda: self._read_frames(link)), name="frames")
             finally:
-                self._link = None
+                self.link = None
 
     async def _read_samples(self, link: VehicleLink) -> None:
         """Take the samples that nobody requested: guidance and vision take what waits just before they need it.
@@ -166,7 +167,7 @@ class Daemon:
 
     def _take_waiting(self) -> None:
         self._taken_at = self._clock.now()
-        if self._link is not None and (samples := self._link.samples.waiting()):
+        if self.link is not None and (samples := self.link.samples.waiting()):
             self._take(samples)
 
     async def _read_reports(self, reports: Line[Sample]) -> None:
@@ -249,7 +250,7 @@ class Daemon:
         """Wait a little for the samples that cover a frame: on a busy machine they may still be in a socket."""
         for _ in range(_ATTITUDE_TRIES):
             self._take_waiting()
-            if self._link is None or not self._cycle.awaits(frame.stamp, self._clock.now()):
+            if self.link is None or not self._cycle.awaits(frame.stamp, self._clock.now()):
                 break
             await self._clock.sleep(ATTITUDE_WAIT_S / _ATTITUDE_TRIES)
 
@@ -276,9 +277,9 @@ class Daemon:
 
     def _send(self, command: Command) -> None:
         """Give a command to the link, and note its times."""
-        if self._link is None:
+        if self.link is None:
             raise Recoverable("the link to the vehicle is not open")
-        self._link.command(command)
+        self.link.command(command)
         given = self._clock.now()
         self.health.delay("send", seconds_between(self._decided_at, given))
         if self._newest_fused is not None:

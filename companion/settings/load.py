@@ -27,7 +27,6 @@ from companion.settings.files import CREDENTIAL
 from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.model import PadSettings, Settings, in_file, joined, model_with
 from drivers.files import Largest, bytes_of
-from drivers.mavlink.options import AutopilotOptions
 from drivers.vehicle import VehicleOptions
 from estimator.attitude_history import DOWN
 from estimator.contracts.address import guarded
@@ -66,22 +65,18 @@ KINDS = {
 """Our kinds of TOML files by a key that only such a file has, or one that is none of those before it."""
 
 
-def load(name_or_path: str | Path, *, by_autopilot: bool = False) -> Settings:
+def load(name_or_path: str | Path) -> Settings:
     """Return the settings in a file, or those of a shipped profile (`configs/*.toml`) by its bare name.
 
     The camera and pad files are read too, so that the result can be flown. In the result `camera.file` and `pad.file` name a
     shipped file or are paths relative to the working directory; so are those of keys and certificates.
-
-    Args:
-        by_autopilot: whether an autopilot will fly by them, whatever vehicle the file names: missing keys then have
-            an autopilot's defaults.
 
     Raises:
         BadInput: the file cannot be read or is not TOML; a key is unknown, missing, of the wrong type or out of range; or a
             camera or pad file has such a fault. The text is one line that names the file and the key.
     """
     path = find_file(str(name_or_path), "", Path(), "settings")
-    return complete(from_file(read_toml(path, "vehicle.kind"), str(path), by_autopilot=by_autopilot), path)
+    return complete(from_file(read_toml(path, "vehicle.kind"), str(path)), path)
 
 
 def complete(settings: Settings, path: Path) -> Settings:
@@ -93,8 +88,7 @@ def complete(settings: Settings, path: Path) -> Settings:
     Raises:
         BadInput: keys do not go together, or a file that the settings name is missing or has a fault.
     """
-    if fault := settings.fault():
-        raise BadInput(f"{path}: {fault}")
+    settings.refuse_faults(str(path))
     camera = _reference(settings.camera.file, "cameras", path, "camera.file")
     pad = _reference(settings.pad.file, "pads", path, "pad.file")
     found = msgspec.structs.replace(settings.camera, file=camera)
@@ -112,13 +106,12 @@ def complete(settings: Settings, path: Path) -> Settings:
     return settings
 
 
-def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False) -> Settings:
+def from_file(data: Mapping[str, Any], where: str) -> Settings:
     """Return the settings that the mapping of a settings file describes, with the keys of experts in its table `expert`.
 
     Args:
         data: the mapping.
         where: name of the file, for errors.
-        by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read. The keys are named as the file has them.
@@ -126,20 +119,19 @@ def from_file(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False
     with refused(where, BadInput):
         tables = joined(data)
     try:
-        return from_mapping(tables, where, by_autopilot=by_autopilot)
+        return from_mapping(tables, where)
     except BadInput as why:
         output = str(why).removeprefix(f"{where}: ")
         key = output.partition(" ")[0].rstrip(":,")
         raise BadInput(f"{where}: {in_file(key)}{output[len(key) :]}") from why
 
 
-def from_mapping(data: Mapping[str, Any], where: str, *, by_autopilot: bool = False) -> Settings:
+def from_mapping(data: Mapping[str, Any], where: str) -> Settings:
     """Return the settings that whole tables describe, those of experts among them.
 
     Args:
         data: the tables.
         where: name of their source, for errors.
-        by_autopilot: as for `load`.
 
     Raises:
         BadInput: as for `load`, except that camera and pad files are not read.
@@ -148,7 +140,7 @@ def from_mapping(data: Mapping[str, Any], where: str, *, by_autopilot: bool = Fa
     try:
         kind = _vehicle_of(data)
         model = model_with(kind)
-        return _guard(msgspec.convert(_with_defaults_of(AutopilotOptions if by_autopilot else kind, data), model, strict=True))
+        return _guard(msgspec.convert(_with_defaults_of(kind, data), model, strict=True))
     except BadInput as why:
         raise BadInput(f"{where}: {_shown(str(why), data)}") from None
     except msgspec.ValidationError as why:

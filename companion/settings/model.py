@@ -25,7 +25,7 @@ from companion.settings.part_table import PartTable
 from companion.settings.service import RecorderOptions
 from companion.settings.vessel import VesselOptions
 from drivers.camera.options import DRIVEN_SOURCES, SOURCES, CameraOptions
-from drivers.mavlink.options import GimbalOptions, autopilot_of
+from drivers.mavlink.options import GimbalOptions
 from drivers.vehicle import VehicleOptions
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import PUBLIC, choice, text, tuning
@@ -95,31 +95,41 @@ class CommonSettings(Struct, frozen=True, forbid_unknown_fields=True):
     limits: LimitOptions = LimitOptions()
     vessel: VesselOptions = VesselOptions()
 
-    def fault(self, *, by_autopilot: bool = False) -> str | None:
-        """Return the reason why keys do not go together, beginning with the key, or None if they do.
-
-        Args:
-            by_autopilot: whether an autopilot takes the place of the vehicle.
-        """
+    def faults(self) -> Iterator[str]:
+        """Yield the reasons why keys do not go together on a real vehicle, each beginning with the key."""
         if self.camera.source == "vehicle" and not self.vehicle.frames_delay:
-            return f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
-        replaced = by_autopilot and autopilot_of(self.vehicle) is None
-        for barred in () if replaced else self.vehicle.barred:
+            yield f"camera.source must be one of {', '.join(SOURCES)}: an autopilot has no frames"
+        for barred in self.vehicle.barred:
             if barred.is_wrong(attrgetter(barred.key)(self)):
-                return f"{barred.key} {barred.why}"
+                yield f"{barred.key} {barred.why}"
         if self.camera.exposure.driven and self.camera.source not in DRIVEN_SOURCES:
-            return (
+            yield (
                 f'camera.exposure.mode must be "camera" with camera.source "{self.camera.source}": '
                 f"only that of a camera with one of {', '.join(DRIVEN_SOURCES)} can be driven"
             )
         g = self.guidance
         least_m = max(_MASTS_M, self.vessel.pad_up_m + max(g.tries.safe_height_m, g.rendezvous.height_m))
         if g.refused == "land elsewhere" and g.elsewhere.height_m < least_m:
-            return (
+            yield (
                 f"expert.guidance.elsewhere.height_m must be over the ship's masts, {least_m:g} m over the sea or more: "
                 f"vessel.pad_up_m and guidance.rendezvous.height_m over it, and at least {_MASTS_M:g} m"
             )
-        return next(filter(None, (table.fault(self) for table in self.part_tables())), None)
+        yield from filter(None, (table.fault(self) for table in self.part_tables()))
+
+    def refuse_faults(self, where: str, before: "CommonSettings | None" = None) -> None:
+        """Refuse keys that do not go together.
+
+        Args:
+            where: name of their source, for errors.
+            before: settings of which these are a change. What already contradicted itself there, as in settings that a simulator
+                completed and a recording keeps, is not judged by the rules of a real vehicle again.
+
+        Raises:
+            BadInput: there is such a fault.
+        """
+        known = () if before is None else tuple(before.faults())
+        if fault := next((fault for fault in self.faults() if fault not in known), None):
+            raise BadInput(f"{where}: {fault}")
 
     def part_tables(self) -> list[PartTable]:
         """Return the tables of the capabilities that are installed."""

@@ -40,8 +40,7 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
             raise BadInput(f"{where}: the settings have no key {key!r}; {hint}")
         put(tables, key.split("."), value_like(present, value, key, where))
     changed = from_mapping(tables, where)
-    if fault := changed.fault():
-        raise BadInput(f"{where}: {fault}")
+    changed.refuse_faults(where, settings)
     return changed
 
 

@@ -9,6 +9,8 @@ import os
 from types import MappingProxyType
 from typing import Annotated, ClassVar, Literal
 
+from msgspec import structs
+
 from drivers.endpoint import Endpoint, parse_endpoint
 from drivers.mavlink.access import Named, parse_operators
 from drivers.vehicle import Barred, Claim, VehicleOptions, host_and_port
@@ -20,6 +22,8 @@ VELOCITY_MODES = ("guided", "offboard")
 """The modes in which ArduPilot and PX4 follow setpoints."""
 PX4_HOLD = "auto.loiter"
 """The mode in which PX4 holds by itself."""
+SIMULATED_LINK = "udpin://127.0.0.1:14540"
+"""The link to an autopilot in settings of a simulation in virtual time, and in its recording; nothing is bound there."""
 TARGET_MODES = ("land", "auto.precland")
 """The modes in which ArduPilot and PX4 land on LANDING_TARGETs by themselves."""
 
@@ -230,6 +234,9 @@ class AutopilotOptions(MavlinkOptions, VehicleOptions, frozen=True, forbid_unkno
     @property
     def left_alone(self) -> str:
         return "the autopilot has the vehicle"
+
+    def simulated(self, generation: str, tilt_max_deg: float) -> "AutopilotOptions":
+        return structs.replace(self, links=SIMULATED_LINK, system_id=0, vessel_id=0, signing_key_file="")
 
     def modes_left(self, mode: str) -> tuple[str, ...]:
         """Return the mode, and PX4's hold beside OFFBOARD, which it leaves where setpoints end."""

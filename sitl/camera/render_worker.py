@@ -79,6 +79,7 @@ def render_worker(renderer: Renderer | Film) -> Iterator[RenderWorker | None]:
 
 
 def _work(renderer: Renderer | Film, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
+    os.setpgid(0, 0)  # Ctrl-C is for the process that it renders for
     not_ours.close()  # or the end of the other side would never be noticed
     cv2.setNumThreads(1)
     try:
@@ -86,5 +87,5 @@ def _work(renderer: Renderer | Film, orders: Any, not_ours: Any, frame_slots: ND
             storage_policy, shot, rng = orders.recv()
             frame_slots[storage_policy] = renderer.render(shot, rng)
             orders.send(storage_policy)
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError):
         return  # the other side has ended

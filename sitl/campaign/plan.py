@@ -265,6 +265,8 @@ class CampaignPlan(Struct, frozen=True):
     """Digests of the files that scenario and settings name."""
     options: tuple[str, ...] = ()
     """Further arguments of `decklander simulate` that fly one flight of the campaign again."""
+    own: bool = False
+    """True for the settings of a person (see `Overridable`)."""
 
     def of(self, job: Job) -> CampaignPlan:
         """Return the plan by which a job is flown."""
@@ -272,8 +274,8 @@ class CampaignPlan(Struct, frozen=True):
 
     def base(self) -> bytes:
         """Return what a worker needs beside a job, as JSON."""
-        own = ("name", "scenario", "settings", "perception", "perception_model")
-        return canonical({name: getattr(self, name) for name in own}).encode()
+        needed = ("name", "scenario", "settings", "perception", "perception_model", "own")
+        return canonical({name: getattr(self, name) for name in needed}).encode()
 
     def identity(self) -> dict[str, Any]:
         """Return what two runs must share to be one campaign, and what a report says of it."""
@@ -407,7 +409,8 @@ def unpacked(base: bytes) -> tuple[str, Overridable, Perception, str | None]:
     data = json.loads(base)
     scenario = scenario_from_mapping(data["scenario"], "the campaign's scenario")
     settings = settings_from_mapping(data["settings"], "the campaign's settings")
-    return data["name"], Overridable(scenario, settings), perception_level(data["perception"]), data["perception_model"]
+    given = Overridable(scenario, settings, own=data["own"])
+    return data["name"], given, perception_level(data["perception"]), data["perception_model"]
 
 
 def canonical(value: Any) -> str:

@@ -12,7 +12,7 @@ from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, lea
 from estimator.contracts.errors import BadInput
 from sitl.scenario.scenario import Scenario, refuse_idle, replaced
 from sitl.scenario.scenario import from_mapping as scenario_from_mapping
-from sitl.scenario.settings import following
+from sitl.scenario.settings import following, in_world
 
 Override = tuple[str, Value]
 _FORCED = "settings."
@@ -31,11 +31,12 @@ class Overridable:
     `--vary`.
 
     Args:
-        by_autopilot: as of `settings_for`, which made the settings.
+        own: whether the settings are a person's own, which follow by `in_world` there.
     """
 
-    def __init__(self, scenario: Scenario, settings: Settings, *, by_autopilot: bool = False) -> None:
-        self.scenario, self.settings, self._by_autopilot = scenario, settings, by_autopilot
+    def __init__(self, scenario: Scenario, settings: Settings, *, own: bool = False) -> None:
+        self.scenario, self.settings = scenario, settings
+        self._follow = in_world if own else following
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 
     def value(self, key: str, text: str, where: str) -> Value:
@@ -76,8 +77,8 @@ class Overridable:
         scenario = scenario_from_mapping(tables[0], where) if placed[0] else self.scenario
         refuse_idle([".".join(path) for path, _ in placed[0]], scenario, where)
         settings = self.settings
-        if placed[0] and following(self.scenario, settings, by_autopilot=self._by_autopilot) == settings:
-            settings = following(scenario, settings, by_autopilot=self._by_autopilot)
+        if placed[0] and self._follow(self.scenario, settings) == settings:
+            settings = self._follow(scenario, settings)
             tables = tables[0], plain(settings)
         else:
             placed[1][:0] = [(path, value) for path, value in placed[0] if ".".join(path) in _SHARED]
@@ -85,8 +86,7 @@ class Overridable:
             for path, value in placed[1]:
                 put(tables[1], path, value)
             settings = settings_from_mapping(tables[1], where)
-            if fault := settings.fault(by_autopilot=self._by_autopilot):
-                raise BadInput(f"{where}: {fault}")
+            settings.refuse_faults(where, self.settings)
         return scenario, settings
 
     def _place(self, key: str) -> tuple[int, list[str]]:

@@ -355,7 +355,7 @@ def first(self, decision):
     self.stop()
 
 Daemon._tell = first
-arguments = main.argparse.Namespace(config=sys.argv[1], check=False, once=False)
+arguments = main.argparse.Namespace(config=sys.argv[1], set=[], check=False, once=False)
 sys.exit(signals.leave(run.run(main.Parser().parse_args([], arguments))))
 """
 

@@ -62,7 +62,7 @@ def test_an_autopilot_flies_back_with_the_last_charge_where_the_settings_say_so(
     data: dict[str, Any] = {
         "vehicle": {"kind": "ardrone"}, "camera": {"file": "sim"}, "pad": {"file": "thesis"}, "guidance": {"held_ends": "return"},
     }  # fmt: skip
-    assert "has no return" in (from_mapping(data, "x").fault() or "")
+    assert "has no return" in next(from_mapping(data, "x").faults(), "")
 
 
 @pytest.mark.hazard("H6")

@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from companion.service.daemon import Daemon, DaemonSetup
 from drivers.clock import SystemClock
 from estimator.contracts.errors import Recoverable
 from estimator.contracts.estimates import Verdict
+from sitl.emulators.ardrone.child import ArDroneInChild
 from sitl.flight.ending import Ending, Load
+from sitl.scenario.scenario import load
 from sitl.world.truth import Touchdown
 from tests.companion.virtual_flight import FakeFlight, SeeingPilot, VirtualClock, fly
 
@@ -31,7 +34,7 @@ def ended(outcome: FlightOutcome | None, late_s: float = 0.0, said: bytes | None
         health.frames = Counter({Verdict.FUSED: 850, Verdict.NO_PAD: 30})
     for _ in range(9):
         health.delay("guidance_late", late_s)
-    drone = demo._Child({})
+    drone = ArDroneInChild("demo", load("demo"), 1, Path())
     drone.ended(json.dumps(SAID).encode() if said is None else said)
     return demo._ending(argparse.Namespace(scenario="demo", seed=1), outcome, 30.0, [], health, drone)
 

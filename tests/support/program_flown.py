@@ -5,8 +5,8 @@ control: its sticks are centred, and what he switches goes out from the ground s
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from contextlib import AsyncExitStack, ExitStack, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self, TypeVar
@@ -221,7 +221,7 @@ class ProgramFlown(OrderedFlight):
             if self._stack is Stack.ARDUPILOT:
                 own = CopterStandIn(self.clock, {}, in_process.STEP_S)
             urls = tuple(f"udpout://{HOST}:{port}" for port in ports)
-            await enter(in_process.flying(own, body, self.clock, (urls[0], urls[1]), self._stepped, self.clock.settle))
+            await enter(_flying(own, body, self.clock, (urls[0], urls[1]), self._stepped, self.clock.settle))
         elif self._stack is Stack.PX4:
             hil = HilBackend(body, seed=self.seed, stepped=self._stepped)
             words, environment = px4.start(self._binary, height_m=HEIGHT_M, parameters=given)
@@ -328,3 +328,48 @@ class ProgramFlown(OrderedFlight):
         if command is not None:
             with suppress(Recoverable):
                 autopilot.command(command)
+
+
+class _StandInProgram:
+    """A stand-in in the place of a running program: it never ends by itself."""
+
+    last_line = "it is a stand-in and prints nothing"
+
+    @staticmethod
+    async def ended() -> None:
+        """Wait for ever."""
+        await asyncio.Event().wait()
+
+
+@asynccontextmanager
+async def _flying(
+    stand_in: in_process.StandIn,
+    body: Body,
+    clock: LockStepClock,
+    urls: tuple[str, str],
+    stepped: Callable[[Body], None],
+    settle: Callable[[], Awaitable[None]],
+) -> AsyncIterator[_StandInProgram]:
+    """Step body and stand-in while the context is open.
+
+    Args:
+        urls: the links of its two MAVLink ports.
+        stepped: called after each step.
+        settle: awaited after each step.
+    """
+
+    async def step() -> None:
+        while True:
+            body.step(stand_in.step(body.state()))
+            stepped(body)
+            await settle()
+
+    options = [LinkOptions(parse_endpoint(url)) for url in urls]
+    async with open_links(options, clock, (stand_in.system, 1)) as links, asyncio.TaskGroup() as group:
+        stand_in.links = links
+        tasks = [group.create_task(stand_in._live()), group.create_task(stand_in._read(links)), group.create_task(step())]
+        try:
+            yield _StandInProgram()
+        finally:
+            for task in tasks:
+                task.cancel()

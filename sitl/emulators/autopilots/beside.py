@@ -1,8 +1,7 @@
 """Run the daemon beside an autopilot with frames from outside, as a task or as a process that can be killed and started again."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import msgspec
@@ -10,11 +9,11 @@ import msgspec
 from companion.base.containment import RESTART
 from companion.base.health import Health
 from companion.base.observer import Observer
-from companion.cycle.ports import Assembly, VehicleLink
+from companion.cycle.ports import Assembly
 from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import ExposurePart, vehicle_parts
-from companion.settings.model import CameraSettings, Settings
+from companion.settings.model import Settings
 from drivers.camera.exposure import ExposureDrive
 from drivers.mavlink.autopilot import Autopilot
 from drivers.mavlink.options import AutopilotOptions, autopilot_of
@@ -35,13 +34,12 @@ class FlightDaemon:
     ) -> None:
         health = Health(clock)
         self.pilot = pilot
-        self._parts = vehicle_parts(Assembly(settings, pilot, health, clock))
-        self._opened: list[VehicleLink] = []
+        parts = vehicle_parts(Assembly(settings, pilot, health, clock))
         self.exposure, exposing = exposure_beside(settings, pilot, health)
         """The exposure that the daemon drives; None where the camera does."""
-        observers = (*self._parts.observers, *observers, *exposing)
+        observers = (*parts.observers, *observers, *exposing)
         self.daemon = Daemon(
-            self._open,
+            parts.open_link,
             pilot,
             clock,
             DaemonSetup(RESTART, settings.guidance.rate_hz, threads=settings.vision.threads, once=once),
@@ -49,35 +47,19 @@ class FlightDaemon:
             health=health,
         )
 
-    @asynccontextmanager
-    async def _open(self) -> AsyncIterator[VehicleLink]:
-        async with self._parts.open_link() as link:
-            self._opened.append(link)
-            try:
-                yield link
-            finally:
-                self._opened.remove(link)
-
-    @property
-    def open(self) -> bool:
-        """True if its link to the vehicle is open."""
-        return bool(self._opened)
-
     @property
     def autopilot(self) -> Autopilot | None:
         """The link to the autopilot while it is open."""
-        link = self._opened[-1] if self._opened else None
+        link = self.daemon.link
         return link if isinstance(link, Autopilot) else None
 
     def offer(self, frame: Frame) -> None:
         """Give the daemon a frame that has arrived."""
-        for link in self._opened:
-            link.frames.offer(frame)
+        offer(self.daemon, frame)
 
     def report(self, sample: Sample) -> None:
         """Give the daemon a report of the ship that has arrived."""
-        for link in self._opened:
-            link.samples.offer(sample)
+        report(self.daemon, sample)
 
     def concluded(self) -> int:
         """Return the number of frames that were processed."""
@@ -88,30 +70,51 @@ class FlightDaemon:
         return self.daemon.looking
 
 
-def exposure_beside(settings: Settings, pilot: Pilot, health: Health) -> tuple[ExposureDrive | None, tuple[Observer, ...]]:
-    """Return the exposure that the service drives, and the observers that do; nothing where the camera exposes by itself."""
+def offer(daemon: Daemon, frame: Frame) -> None:
+    """Give a daemon a frame that has arrived; it is lost while the link to the vehicle is closed."""
+    if daemon.link is not None:
+        daemon.link.frames.offer(frame)
+
+
+def report(daemon: Daemon, sample: Sample) -> None:
+    """Give a daemon a report of the ship that has arrived, likewise."""
+    if daemon.link is not None:
+        daemon.link.samples.offer(sample)
+
+
+def driven_exposure(settings: Settings) -> ExposureDrive | None:
+    """Return the exposure that a service of these settings drives; None where the camera exposes by itself."""
     options = settings.camera.exposure
-    if not options.driven:
+    return ExposureDrive(options.settle_frames) if options.driven else None
+
+
+def exposure_beside(
+    settings: Settings, pilot: Pilot, health: Health, drive: ExposureDrive | None = None
+) -> tuple[ExposureDrive | None, tuple[Observer, ...]]:
+    """Return the exposure that the service drives, the given one or a new one, and its observers; nothing if it drives none."""
+    drive = drive or driven_exposure(settings)
+    if drive is None:
         return None, ()
-    drive, part = ExposureDrive(options.settle_frames), ExposurePart(options, pilot)
+    part = ExposurePart(settings.camera.exposure, pilot)
     part.attach(drive)
     health.counters("exposure", part.counted)
     return drive, (part,)
 
 
-def autopilot_at(settings: Settings, links: str) -> AutopilotOptions:
-    """Return the options of an autopilot at these links, by settings that were read for one."""
+def autopilot_in(settings: Settings) -> AutopilotOptions:
+    """Return the autopilot of the settings."""
     vehicle = autopilot_of(settings.vehicle)
-    return AutopilotOptions(links) if vehicle is None else msgspec.structs.replace(vehicle, links=links, signing_key_file="")
+    assert vehicle is not None
+    return vehicle
 
 
 def beside_autopilot(
     settings: Settings, links: str, start: Literal["automatic", "signal"] = "signal", response: str | None = None
 ) -> Settings:
-    """Return the settings with an autopilot at `links` as the vehicle, external frames, and the given start of the landing.
+    """Return the settings with the autopilot at `links`, and the given start of the landing.
 
     Args:
-        settings: read for an autopilot (`load` with `by_autopilot`).
+        settings: of an autopilot in a simulated world (`rig_for` with `by_autopilot`).
         response: the shipped response of this stack, where the settings leave it to the vehicle; None for an autopilot's.
     """
     follow = settings.guidance.follow_deck
@@ -119,8 +122,7 @@ def beside_autopilot(
         follow = msgspec.structs.replace(follow, response=response)
     return msgspec.structs.replace(
         settings,
-        vehicle=autopilot_at(settings, links),
-        camera=CameraSettings(settings.camera.file, gimbal=settings.camera.gimbal, exposure=settings.camera.exposure),
+        vehicle=msgspec.structs.replace(autopilot_in(settings), links=links),
         guidance=msgspec.structs.replace(settings.guidance, start=start, follow_deck=follow),
     )
 
@@ -194,7 +196,7 @@ class KillableService:
     def offer(self, frame: Frame) -> None:
         """Give the daemon a frame that has arrived, if there is one that can take it."""
         self._offered += 1
-        if self.gone or not self.now.open:
+        if self.gone or self.now.daemon.link is None:
             self._unheard += 1
         else:
             self.now.offer(frame)

@@ -79,7 +79,7 @@ class AutopilotFlight:
     scenario: Scenario
     seed: int
     settings: Settings
-    """Settings of the daemon, read for an autopilot (`settings_for` with `by_autopilot`), which becomes its vehicle."""
+    """Settings of the daemon, of an autopilot in a simulated world (`rig_for` with `by_autopilot`)."""
     autopilot: AutopilotProgram
     folder: Path
     """The program's working directory."""

@@ -419,7 +419,7 @@ async def follow(scenario: Scenario, seed: int, settings: Settings, url: str, ob
         raise BadInput("gimbal: only an autopilot in miniature (--autopilot) has a simulated one")
     cv2.setNumThreads(1)
     clock = SystemClock()
-    settings = beside_autopilot(settings, url, start=settings.guidance.start)
+    settings = beside_autopilot(settings, url, "automatic")
     pilot = make_pilot(settings)
     side = FlightDaemon(settings, pilot, clock, observers)
     watcher = _Watcher(scenario, seed, side, clock)

@@ -82,6 +82,11 @@ class OperatorView(Struct, frozen=True, eq=False):
     """True if the landing begins at rest over the ground instead of with the velocity of the start."""
 
 
+def _to_goal(view: OperatorView) -> F64:
+    """Return the way to where the vehicle waits, (3,) m level: at rest it stops ahead of the start, which then comes up."""
+    return np.asarray(view.to_start_level + (_REST_S * view.v_start_level if view.rests else 0.0))
+
+
 READS = frozenset({"HEARTBEAT", "STATUSTEXT", "COMMAND_ACK"})
 """Messages that the ground station reads."""
 
@@ -209,21 +214,24 @@ class GroundStation:
         return [velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v, 0.0), view.yaw_rad)]
 
     def _go(self, now: MonoNs, view: OperatorView) -> list[Message]:
-        # At rest the vehicle is overtaken: it stops ahead of the start, and the landing is ordered when that has come up.
-        to_goal = view.to_start_level + (_REST_S * view.v_start_level if view.rests else 0.0)
+        to_goal = _to_goal(view)
         # The start heaves with the pad, so the vehicle does not follow it after that.
         close = math.hypot(*to_goal[:2]) < 0.6 and abs(to_goal[2]) < _HEAVE_M
         near = close and math.hypot(*view.v_rel_level[:2]) < 0.5 and abs(view.turn_rad) < math.radians(8.0)
         self._there_since = (self._there_since or now) if near else None
         if self._there_since is not None and seconds_between(self._there_since, now) > 1.0:
             self._next(Task.REST if view.rests else Task.ORDER, now)
-        pull = 0.6 * to_goal
+        mode = VELOCITY_MODE[self.stack]
+        takes = [set_mode(self.stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
+        return [*takes, self.to_start(now, view)]
+
+    def to_start(self, now: MonoNs, view: OperatorView) -> Message:
+        """Return the setpoint that flies to the start of the landing and stays there, with the ship."""
+        pull = 0.6 * _to_goal(view)
         size = float(np.linalg.norm(pull))
         v_level = view.v_start_level + pull * min(1.0, 1.5 / max(size, 1e-9))
         rate = min(max(0.8 * wrap_pi(view.turn_rad), -0.5), 0.5)
-        mode = VELOCITY_MODE[self.stack]
-        takes = [set_mode(self.stack, self._autopilot, mode)] if self.mode != mode and self._due("mode", now) else []
-        return [*takes, velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)]
+        return velocity_setpoint(now // 1_000_000, self._autopilot, Velocity(v_level, rate), view.yaw_rad)
 
     def _rest(self, now: MonoNs, view: OperatorView) -> list[Message]:
         if float(view.to_start_level[:2] @ view.v_start_level[:2]) >= 0.0:

@@ -18,7 +18,6 @@ from companion.base.mission import FlightOutcome
 from companion.cli.main import main
 from companion.facts.records import TruthRecord
 from companion.recording.reading import open_recording
-from companion.settings.load import load as load_settings
 from drivers.endpoint import parse_endpoint
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav
@@ -229,7 +228,7 @@ async def test_armed_taken_off_and_landed_on_the_pad_by_offboard_velocities(tmp_
     folder.mkdir()
     autopilot = AutopilotProgram("px4", build(tmp_path), parameters=(("MPC_XY_VEL_MAX", 3.0),))
     flight = AutopilotFlight(
-        scenario, 1, load_settings("sim", by_autopilot=True), autopilot, folder, perception=perceive("model")
+        scenario, 1, settings_for(scenario, None, by_autopilot=True), autopilot, folder, perception=perceive("model")
     )
     async with asyncio.timeout(380), asyncio.TaskGroup() as group:
         standin = group.create_task(pretend(flight))

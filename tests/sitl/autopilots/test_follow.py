@@ -11,7 +11,6 @@ import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import FlightOutcome
-from companion.settings.load import load as load_settings
 from drivers.mavlink.autopilot import Autopilot, open_autopilot
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.options import AutopilotOptions
@@ -28,6 +27,7 @@ from sitl.faults.fault import FaultTimer
 from sitl.faults.faulty_streams import VehicleStreams
 from sitl.faults.kinds import LinkLost, NavdataStream, StreamFault
 from sitl.scenario.scenario import load
+from sitl.scenario.settings import settings_for
 from tests.make import ns
 from tests.support.clocks import PatientClock
 from tests.support.waiting import free_port, until
@@ -139,7 +139,7 @@ async def test_followed_seen_and_landed_in_real_time() -> None:
     scenario = load("calm")
     start = replace(scenario.start, height_m=1.6, pad_forward_m=0.2, pad_right_m=-0.15)
     scenario = replace(scenario, start=start, duration_limit_s=90.0)
-    settings = load_settings("sim")
+    settings = settings_for(scenario, None, by_autopilot=True)
     thesis = replace(settings.guidance.thesis, approach_height_m=1.2, speed_m_s=0.6)
     settings = replace(
         settings,

@@ -33,7 +33,7 @@ from sitl.scenario.settings import settings_for
 def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has() -> None:
     """WHY: `--set guidance.tries.heading=keep` was taken for silence in a flight with an autopilot, and the nose turned."""
     scenario = load("calm")
-    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True), by_autopilot=True)
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
     for output, heading in ((list[str](), "align"), (["guidance.tries.heading=keep"], "keep")):
         _, settings = given.with_values([given.parse(text, "--set") for text in output], "--set")
         flight = StandInFlight(scenario, 1, settings, "px4")
@@ -44,7 +44,7 @@ def test_what_is_reported_of_a_key_wins_over_what_an_autopilot_has() -> None:
 def test_an_autopilot_is_flown_by_its_own_response_and_not_by_that_of_the_simulated_loops(stack, response):
     """WHY: ArduCopter was flown by a climb that answers after 58 ms, and swung up and down over the deck by 0.5 m/s."""
     scenario = load("weather_4")
-    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True), by_autopilot=True)
+    given = Overridable(scenario, settings_for(scenario, None, by_autopilot=True))
     for changes in ([], ["weather.wind_m_s=4"]):
         _, settings = given.with_values([given.parse(text, "--set") for text in changes], "--set")
         flown_by = StandInFlight(scenario, 1, settings, stack).service_settings()

@@ -31,7 +31,7 @@ from sitl.perception.levels import perceive
 from sitl.scenario.overrides import Overridable
 from sitl.scenario.scenario import from_mapping, load
 from sitl.scenario.scenario import load as load_scenario
-from sitl.scenario.settings import settings_for
+from sitl.scenario.settings import rig_for, settings_for
 from sitl.scenario.with_fault import as_toml, with_random_faults
 from tests.fly import NEAR
 
@@ -176,18 +176,19 @@ def test_the_settings_follow_the_scenarios_camera_and_pad() -> None:
 @pytest.mark.parametrize("of_a_file", [False, True])
 def test_settings_that_follow_the_scenario_follow_its_other_vehicle_and_ship(of_a_file: bool) -> None:
     scenario = load("calm")
-    own = settings_for(scenario, str(SHIPPED / "ardrone1.toml") if of_a_file else None)
+    rig = rig_for(scenario, str(SHIPPED / "ardrone1.toml") if of_a_file else None)
+    scenario, own = rig.scenario, rig.settings
     wanted = [
         ("vehicle.file", "hexa_7kg"),
         ("vessel.reports_place", True),
         ("vessel.reports_hz", 1.0),
         ("guidance.cone.gate_height_m", 0.4),
     ]
-    _, settings = Overridable(scenario, own).with_values(wanted, "--set")
+    _, settings = Overridable(scenario, own, own=of_a_file).with_values(wanted, "--set")
     cone, follow = settings.guidance.cone, settings.guidance.follow_deck
     assert cone.gate_height_m == 0.4
     assert (cone.feet_below_m, follow.response, settings.guidance.rendezvous.enabled) == (
-        (own.guidance.cone.feet_below_m, own.guidance.follow_deck.response, False) if of_a_file else (0.25, "hexa_7kg", True)
+        (0.25, own.guidance.follow_deck.response, False) if of_a_file else (0.25, "hexa_7kg", True)
     )
 
 

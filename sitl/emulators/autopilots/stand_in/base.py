@@ -1,8 +1,7 @@
 """An autopilot in miniature on a real socket, and the stand-ins that fly a body of the physics by it.
 
 A miniature sends and obeys what ArduCopter and PX4 were measured to send and obey. By itself it flies as a point whose velocity
-follows the setpoint at once. Its clock is its own: `epoch_ns` before ours. `flying` steps a stand-in in this process, in the lock
-step of the physics, over the same MAVLink links as a program.
+follows the setpoint at once. Its clock is its own: `epoch_ns` before ours.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -31,8 +30,7 @@ from drivers.mavlink.vehicle import ARMED, HOLD_MODE, LAND_MODE, VELOCITY_MODE, 
 from estimator.contracts.geometry import F64, GeoPoint, Rotation, moved, ned_between
 from estimator.contracts.time import Clock
 from sitl.camera.gimbal import SimulatedGimbal
-from sitl.emulators.autopilots.body import Body, BodyState
-from sitl.emulators.autopilots.lock_step import LockStepClock
+from sitl.emulators.autopilots.body import BodyState
 from sitl.sensors.sensors import ORIGIN
 from sitl.world.drives import Motors
 
@@ -506,6 +504,10 @@ class StandIn(MiniatureAutopilot, ABC):
         self.entered(name)
         super().set_mode(name)
 
+    def take(self, message: Message, sender: tuple[int, int]) -> None:
+        """Take a message of a (system, component) that has no link to it here."""
+        super()._on_message(ReceivedMessage(message, 0, self.clock.now(), *sender))
+
     def _on_set_position_target_local_ned(self, m: Message, received: ReceivedMessage) -> None:
         """Note the setpoint alone: the body's own velocity is what the streams report."""
         self.setpoints.append((self.now_s, m))
@@ -636,48 +638,3 @@ def toward(error_m: F64, gain_1_s: float, most_m_s: float) -> F64:
 
 STEP_S = 0.004
 """Step of the physics and of the loops, s."""
-
-
-class StandInProgram:
-    """A stand-in in the place of a running program: it never ends by itself."""
-
-    last_line = "it is a stand-in and prints nothing"
-
-    @staticmethod
-    async def ended() -> None:
-        """Wait for ever."""
-        await asyncio.Event().wait()
-
-
-@asynccontextmanager
-async def flying(
-    stand_in: StandIn,
-    body: Body,
-    clock: LockStepClock,
-    urls: tuple[str, str],
-    stepped: Callable[[Body], None],
-    settle: Callable[[], Awaitable[None]],
-) -> AsyncIterator[StandInProgram]:
-    """Step body and stand-in while the context is open.
-
-    Args:
-        urls: the links of its two MAVLink ports.
-        stepped: called after each step.
-        settle: awaited after each step.
-    """
-
-    async def step() -> None:
-        while True:
-            body.step(stand_in.step(body.state()))
-            stepped(body)
-            await settle()
-
-    options = [LinkOptions(parse_endpoint(url)) for url in urls]
-    async with open_links(options, clock, (stand_in.system, 1)) as links, asyncio.TaskGroup() as group:
-        stand_in.links = links
-        tasks = [group.create_task(stand_in._live()), group.create_task(stand_in._read(links)), group.create_task(step())]
-        try:
-            yield StandInProgram()
-        finally:
-            for task in tasks:
-                task.cancel()

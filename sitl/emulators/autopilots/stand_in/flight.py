@@ -8,6 +8,7 @@ vehicle; one that starts on the pad is armed and taken off.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Literal
 
 import cv2
@@ -25,13 +26,14 @@ from drivers.endpoint import parse_endpoint
 from drivers.mavlink.access import NamedSenders
 from drivers.mavlink.dialect import Message
 from drivers.mavlink.links import LinkOptions, Links
+from drivers.mavlink.options import SIMULATED_LINK
 from estimator.contracts.commands import Command
 from estimator.contracts.errors import BadInput, Recoverable
 from estimator.contracts.estimates import PathName
 from estimator.contracts.samples import Frame
-from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.contracts.time import Clock, MonoNs, Stamp, after, seconds_between
 from sitl.camera.film import SimulatedExposure
-from sitl.emulators.autopilots.beside import autopilot_at, beside_autopilot, exposure_beside
+from sitl.emulators.autopilots.beside import autopilot_in, beside_autopilot, exposure_beside
 from sitl.emulators.autopilots.body import Body
 from sitl.emulators.autopilots.conduct import COM_WATCHDOG_S, STATION_S, Conduct, FlightEnd, begun_in_air, take_off_m
 from sitl.emulators.autopilots.lock_step import STAMP_SIGMA_S, START, CameraTiming, FaultyLink
@@ -55,10 +57,9 @@ from sitl.scenario.with_fault import with_random_faults
 from sitl.world.truth import RenderedFrame, Truth
 
 StackName = Literal["arducopter", "px4"]
-COMPANION = "udpin://127.0.0.1:14540"
-"""The companion's endpoint, as the settings of a flight and its recording name it; nothing is bound there."""
 _TRUTH_S = 0.02 - 1e-6
 """Time between two true states that are handed on, a little less than five steps."""
+_NONE: Mapping[str, float] = MappingProxyType({})
 _ACTS_EACH = round(STATION_S / STEP_S)
 """Steps between two looks of the people."""
 
@@ -82,7 +83,7 @@ class ServiceProcess:
         self, settings: Settings, pilot: Pilot, clock: SetClock, observers: Sequence[Observer], *, watched: bool
     ) -> None:
         self.health = Health(clock)
-        part = AutopilotPart(Assembly(settings, pilot, self.health, clock), autopilot_at(settings, COMPANION))
+        part = AutopilotPart(Assembly(settings, pilot, self.health, clock), autopilot_in(settings))
         self.autopilot, work = part.joined(MemoryLink)
         self.exposure, exposing = exposure_beside(settings, pilot, self.health)
         observers = (part.component, *observers, *exposing)
@@ -119,7 +120,7 @@ class StandInFlight:
     scenario: Scenario
     seed: int
     settings: Settings
-    """Settings of the service, read for an autopilot (`settings_for` with `by_autopilot`), which becomes its vehicle."""
+    """Settings of the service, of an autopilot in a simulated world (`rig_for` with `by_autopilot`)."""
     autopilot: StackName
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Parameters of the stand-in, in addition to those with which it is always started."""
@@ -174,14 +175,14 @@ class StandInFlight:
         told = FaultyTelemetry(self.faults, self.seed, self.clock)
         self.link = FaultyLink(self.faults.streams, self.clock, watch.on_sent, watch.on_arrived, told.reported, told.ordered)
         self._under_way = InTransit(self.faults.streams.frames)
-        self.stand_in = self._stand_in()
+        self.stand_in = make_stand_in(self.autopilot, self.clock, scenario, self.parameters)
         self.body.on_failsafe = self.stand_in.acts_by_failsafe
         if not stands:
             self.stand_in.begin_in_air(self.body.state())
 
     def service_settings(self) -> Settings:
         """Return the settings that the service flies with."""
-        return beside_autopilot(self.settings, COMPANION, response="px4" if self.autopilot == "px4" else None)
+        return beside_autopilot(self.settings, SIMULATED_LINK, response="px4" if self.autopilot == "px4" else None)
 
     @property
     def pilot(self) -> Pilot:
@@ -249,12 +250,6 @@ class StandInFlight:
         self._process, self.gone = process, False
         self._under_way.clear()
 
-    def _stand_in(self) -> StandIn:
-        airframe = vehicle_model(self.scenario).airframe()
-        if self.autopilot == "px4":
-            return Px4StandIn(self.clock, {"MIS_TAKEOFF_ALT": take_off_m(self.scenario), **self.parameters}, airframe)
-        return CopterStandIn(self.clock, self.parameters, STEP_S, airframe)
-
     def _go_on(self) -> None:
         """Let some time pass, and act as the people do, and whoever starts a killed service again."""
         for _ in range(_ACTS_EACH):
@@ -317,6 +312,14 @@ class StandInFlight:
             claimed_at = after(image.exposed_at, image.stamp_error_s)
             stamp = Stamp(claimed_at, max(claimed_at, received_at), STAMP_SIGMA_S, "sim")
             yield Frame(stamp, self._frames, image.px, image.exposure_s, image.gain)
+
+
+def make_stand_in(autopilot: StackName, clock: Clock, scenario: Scenario, parameters: Mapping[str, float] = _NONE) -> StandIn:
+    """Return an autopilot in miniature that is set up for the scenario's vehicle, with these parameters besides."""
+    airframe = vehicle_model(scenario).airframe()
+    if autopilot == "px4":
+        return Px4StandIn(clock, {"MIS_TAKEOFF_ALT": take_off_m(scenario), **parameters}, airframe)
+    return CopterStandIn(clock, parameters, STEP_S, airframe)
 
 
 def _links(clock: SetClock, identity: tuple[int, int], count: int) -> Links:
