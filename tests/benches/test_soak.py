@@ -81,7 +81,5 @@ def test_a_service_that_dies_in_every_flight_does_not_end_the_soak(tmp_path, cap
         raise KeyError(7)
 
     monkeypatch.setattr(Pilot, "detect", broken)
-    assert main([str(near), "--virtual", "--runs", "9", "--no-faults"]) in (0, 1)
-    output = capsys.readouterr().out
-    assert output.startswith("9 flights: ")
-    assert "\nmemory " in output
+    assert main([str(near), "--virtual", "--runs", "2", "--no-faults"]) == 1
+    assert capsys.readouterr().out == "2 flights: 2 time is up\ntoo short to measure growth\n"
