@@ -41,8 +41,8 @@ class AnsweringVehicle(Struct, frozen=True):
 
     word: str
     """Its name at the command line."""
-    words: str
-    """It in words, for a person who chooses."""
+    summary: str
+    """One line about it, for a person who chooses."""
     kind: str
     """The word of `vehicle.kind`."""
     host: str

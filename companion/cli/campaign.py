@@ -380,7 +380,7 @@ def _compared_with(against: str | None, asked: set[str]) -> tuple[str, dict[str,
     """Return the name, manifest and flights of an earlier campaign.
 
     Raises:
-        BadInput: the folder is that of none, or has none of the flights that are asked for.
+        BadInput: the folder is that of none, or has none of the flights that are requested.
     """
     if against is None:
         return None

@@ -166,9 +166,9 @@ async def _demo(args: argparse.Namespace, drone: ArDroneInChild | Rehearsal, pla
                 daemon = make_daemon(settings, pilot, clock=clock, observers=observers, once=args.page is None, health=health)
                 if kept.on_start is not None:
                     kept.on_start(health)
-                ordered = None if args.page is not None or settings.guidance.start == "automatic" else pilot
+                orders = args.page is None and settings.guidance.start != "automatic"
                 drone.serve(daemon)
-                outcome = await _flown(daemon, pilot, settings.http, token, limit_s, ordered)
+                outcome = await _flown(daemon, pilot, settings.http, token, limit_s, orders=orders)
                 stopped = ending_signal() is not None
                 ended = clock.now()
                 await asyncio.sleep(_SETTLE_S)
@@ -187,17 +187,17 @@ async def _demo(args: argparse.Namespace, drone: ArDroneInChild | Rehearsal, pla
 
 
 async def _flown(
-    daemon: Daemon, pilot: Pilot, http: HttpSettings, token: str, limit_s: float | None, ordered: Pilot | None
+    daemon: Daemon, pilot: Pilot, http: HttpSettings, token: str, limit_s: float | None, *, orders: bool
 ) -> FlightOutcome | None:
     """Fly until the landing has ended; return its outcome, None if the time ran out or a person stopped it.
 
     Args:
-        ordered: the pilot that is to be ordered to land; None where a person does, or the settings.
+        orders: whether the landing is ordered here; a person does it otherwise, or the settings.
     """
     try:
         async with asyncio.timeout(limit_s), asyncio.TaskGroup() as group:
             beside = [group.create_task(_announce(http, token))]
-            beside += [] if ordered is None else [group.create_task(_order(ordered))]
+            beside += [group.create_task(_order(pilot))] if orders else []
             outcome = await live(daemon, pilot)
             for task in beside:
                 task.cancel()

@@ -44,7 +44,7 @@ from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad.pad import Pad
 from estimator.vision.thesis.segmentation import COLOUR_SETS
-from estimator.vision.track.config import FRAME_WORK, TrackerConfig
+from estimator.vision.track.config import FRAME_WORK, SecondOpinion, TrackerConfig
 from estimator.vision.track.memory import TrackerMemory
 from estimator.vision.track.tracker import track
 
@@ -155,17 +155,17 @@ def run(args: argparse.Namespace) -> int:
         sys.stderr.writelines(f"decklander: {line}\n" for line in lines)
     tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
     options = _options(args.method, args.colours)
-    asked = None
+    opinion: SecondOpinion | None = None
     if args.second_opinion is not None:
         read: ReadOpinion = offered("opinions", "second_opinion", "--second-opinion")
-        asked = read(args.second_opinion, "--second-opinion")
+        opinion = read(args.second_opinion, "--second-opinion")
     drawings = {} if args.draw is None else _drawings(args.draw, files, force=args.force)
     counts, unreadable = _Counts(), 0
     if not args.json:
         sys.stdout.write(_HEADER)
     for file in files:
         trackers = [
-            TrackerConfig(models[file].camera, models[file].pad, of, second_opinion=asked, watches=False) for of in options
+            TrackerConfig(models[file].camera, models[file].pad, of, second_opinion=opinion, watches=False) for of in options
         ]
         try:
             for image, seen, colours, elapsed_ms in _searched(args, _images(file, models[file]), trackers, tilts, counts):

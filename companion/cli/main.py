@@ -191,12 +191,12 @@ def _dispatch(argv: list[str], load: Load) -> int:
     parser.add_argument("--version", action=_Version)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=Parser)
     words = [word for word in argv if not word.startswith("-")]
-    asked = words[0] if words else None
+    typed = words[0] if words else None
     loaded = _loader_of(parser, words, load) if words else None
     for name, command in COMMANDS.items():
-        if name != asked:
+        if name != typed:
             subparsers.add_parser(name, help=command.summary)
-    if asked is None or loaded is None:
+    if typed is None or loaded is None:
         parser.parse_args(argv)
         parser.exit(WRONG, parser.format_help())
     if sys.maxsize < 2**32:
@@ -206,10 +206,10 @@ def _dispatch(argv: list[str], load: Load) -> int:
     # No matrix here has more than some thirty rows, and the library would start a thread and set memory aside for each core.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     module = loaded()
-    add_command(subparsers, asked, module)
+    add_command(subparsers, typed, module)
     args, unknown = parser.parse_known_args(argv)
     if unknown:
-        _refuse_words(subparsers.choices[asked], unknown)
+        _refuse_words(subparsers.choices[typed], unknown)
     from companion.cli.outputs import checked_outputs  # a help needs none of it
 
     with checked_outputs(args):
@@ -221,15 +221,15 @@ def _loader_of(parser: Parser, words: Sequence[str], load: Load) -> Callable[[],
     for wanted in (" ".join(words[:n]) for n in (1, 2)):
         if wanted in OWNERS:
             OWNERS[wanted].require(f"decklander {wanted}")
-    asked = words[0]
-    if asked in COMMANDS:
-        return partial(load, COMMANDS[asked].module)
+    typed = words[0]
+    if typed in COMMANDS:
+        return partial(load, COMMANDS[typed].module)
     offered = of_packages(PACKAGE_GROUP)
-    if asked not in offered:
-        near = difflib.get_close_matches(asked, known := [*COMMANDS, *offered], n=1)
+    if typed not in offered:
+        near = difflib.get_close_matches(typed, known := [*COMMANDS, *offered], n=1)
         meant = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-        parser.error(f"unknown command {asked!r}; {meant}")
-    return partial(load_offered, offered[asked], f"decklander {asked}")
+        parser.error(f"unknown command {typed!r}; {meant}")
+    return partial(load_offered, offered[typed], f"decklander {typed}")
 
 
 def add_command(subparsers: argparse._SubParsersAction[Any], name: str, module: CommandModule) -> None:

@@ -37,7 +37,7 @@ from estimator.contracts.errors import BadInput, file_errors, refused
 ANSWERING = {one.word: one for one in answering_vehicles()}
 """The vehicles whose address and camera are known."""
 VEHICLES = {
-    **{word: one.words for word, one in ANSWERING.items()},
+    **{word: one.summary for word, one in ANSWERING.items()},
     "ardupilot": "a copter with ArduPilot",
     "px4": "a copter with PX4",
 }

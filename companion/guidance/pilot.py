@@ -525,12 +525,14 @@ def tracker(settings: Settings) -> TrackerConfig:
         BadInput: the camera or pad file, or the network for a second opinion, is missing or has a fault.
     """
     vision = settings.vision
-    asked: SecondOpinion | None = None
+    opinion: SecondOpinion | None = None
     if vision.learned != "off":
         read: ReadOpinion = offered("opinions", vision.learned, f'vision.learned = "{vision.learned}"')
-        asked = read(vision.learned_file, "vision.learned_file")
+        opinion = read(vision.learned_file, "vision.learned_file")
     limits = settings.estimator.integrity
-    return TrackerConfig(camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=asked, integrity=limits)
+    return TrackerConfig(
+        camera_model(settings), pad_model(settings), vision, FRAME_WORK, second_opinion=opinion, integrity=limits
+    )
 
 
 def estimator_options(settings: Settings) -> EstimatorOptions:

@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 
 _ATTITUDE_TRIES = 10
 """Number of looks, while a frame waits, for the samples that it lacks."""
-_UNASKED_S = 0.1
+_UNREQUESTED_S = 0.1
 """Time between two looks for samples that neither guidance nor vision took, because one of them waits or is being restarted."""
 
 
@@ -149,8 +149,8 @@ class Daemon:
             self.link = link
             try:
                 async with asyncio.TaskGroup() as group:
-                    group.create_task(uncancelled("hearing the vehicle", lambda: self._read_samples(link)), name="samples")
-                    group.create_task(uncancelled("watching its frames", lambda: self._read_frames(link)), name="frames")
+                    group.create_task(uncancelled("reading its samples", lambda: self._read_samples(link)), name="samples")
+                    group.create_task(uncancelled("reading its frames", lambda: self._read_frames(link)), name="frames")
             finally:
                 self.link = None
 
@@ -160,10 +160,10 @@ class Daemon:
         Most of the time that the loop spends on a datagram is spent on waking for it, hundreds of times a second.
         """
         while True:
-            if seconds_between(self._taken_at, self._clock.now()) >= _UNASKED_S:
+            if seconds_between(self._taken_at, self._clock.now()) >= _UNREQUESTED_S:
                 self._take_waiting()
             link.samples.check()
-            await self._clock.sleep(_UNASKED_S)
+            await self._clock.sleep(_UNREQUESTED_S)
 
     def _take_waiting(self) -> None:
         self._taken_at = self._clock.now()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from drivers.extras import is_installed, require
 from estimator.contracts.errors import BadInput, refused
@@ -27,13 +27,14 @@ if TYPE_CHECKING:  # the command line's help needs the table and no settings
     from companion.settings.part_table import PartTable
     from drivers.importer import Importer
     from drivers.vehicle import AnsweringVehicle, VehicleOptions
+    from estimator.vision.track.config import SecondOpinion
 
 VEHICLE_GROUP = "decklander.vehicles"
 IMPORTER_GROUP = "decklander.importers"
 Reference = tuple[str, tuple[str, ...], Callable[[], object]]
 """A settings key, the files that it names, and a function that reads them; without files one that looks for packages."""
 References = Callable[[Any], Iterator[Reference]]
-ReadOpinion = Callable[[str, str], Any]
+ReadOpinion: TypeAlias = "Callable[[str, str], SecondOpinion]"
 """Returns the second opinion (`estimator.vision.track.config`) that a file holds, or the shipped one for an empty name.
 
 The second argument is the setting or option that names the file, for errors.

@@ -152,9 +152,7 @@ else:
         frozen=True,
         forbid_unknown_fields=True,
     )
-"""All settings, with the tables and further keys of the capabilities that are installed.
-
-`companion.settings.load.load` reads them from a file."""
+"""All settings, with the tables and further keys of the installed capabilities, as `companion.settings.load.load` reads them."""
 
 
 def model_with(vehicle: type[VehicleOptions]) -> type[Settings]:

@@ -152,7 +152,6 @@ _RULES = (
             lambda s: s.estimator.dead_reckoning.history_s < s.estimator.max_delay_s,
         ),
     ),
-    _Rule("guidance.tries.another_pad_s", _is("guidance.tries.another_pad", "operator")),
     _Rule("recorder.jpeg_quality", _is_not("recorder.frames", "jpeg")),
 )
 """The first rule that holds explains a key."""

@@ -117,7 +117,7 @@ class VesselOptions(ReportLimits, Struct, frozen=True, forbid_unknown_fields=Tru
     """The ship's own reports of her place, velocity and heading. An autopilot's link has another source: `vehicle.vessel_id`.
 
     Raises:
-        ValueError: an address that cannot be one, a number outside its range, or two keys that do not go together.
+        ValueError: a number outside its range.
     """
 
     mqtt: Annotated[

@@ -32,7 +32,7 @@ What holds in every state (`tests/drivers/mavlink/test_custody.py` flies random 
    leaves CUT, and so does who arms it again behind that and flies: both to PERSON, not to what went on before.
 7. A person's hold or abort ends a take-off: on deck by a plain disarm, in the air by a hold.
 8. A failsafe (`Condition.failsafe`) that comes while the autopilot is in a mode of its own has the vehicle from then on, although
-   the mode may be the one that we requested; so is any such mode that is reported while it is in force. A failsafe that leaves us
+   the mode may be the one that we requested. It also has it by any such mode reported while it is in force. One that leaves us
    the velocity mode is flown with: by setpoints alone, and no mode, arming or take-off is requested until it ends. Only an order
    that a person gives after it came takes the vehicle from it. Once it has ended the vehicle stays where it is until an order.
 

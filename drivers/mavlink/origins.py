@@ -61,14 +61,15 @@ class _Origin:
         return seconds_between(self.at, now) <= (ALIVE_S if self.messages >= _BELIEVED else _HELD_S)
 
     def fits(self, boot: int, at: MonoNs) -> bool:
+        """Return whether a time since boot may be this clock's."""
         boot, least = self._placed(boot, at)
         return self.newest - _ROOM_NS <= boot <= at - least + _ROOM_NS
 
     def adds(self, boot: int, at: MonoNs, sequence: int) -> bool:
         """Take a message's time and sequence number if the time fits; return whether it does."""
-        boot, least = self._placed(boot, at)
-        if not self.newest - _ROOM_NS <= boot <= at - least + _ROOM_NS:
+        if not self.fits(boot, at):
             return False
+        boot, least = self._placed(boot, at)
         self.least = min(least, at - boot)
         self.newest = max(self.newest, boot)
         self.at, self.sequence = at, sequence

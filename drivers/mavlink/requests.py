@@ -335,7 +335,7 @@ class Parameters:
                 self._wanted.append(name)
 
     def forget(self) -> None:
-        """Ask for nothing more. An unanswered parameter is neither read nor absent."""
+        """Request nothing more. An unanswered parameter is neither read nor absent."""
         self._wanted.clear()
         self._asked.clear()
         self._silent.clear()

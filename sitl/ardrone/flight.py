@@ -41,7 +41,7 @@ from sitl.faults.kinds import ServiceKilled
 from sitl.flight.afterwards import Afterwards
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
-from sitl.flight.hands import Asks, SentPacket
+from sitl.flight.hands import SentPacket, WireRequest
 from sitl.flight.person import SimulatedPerson
 from sitl.flight.service import SimulatedService
 from sitl.flight.stepped import Timing
@@ -62,18 +62,18 @@ _WATCH_EACH = 10
 
 
 def of_at(commands: Iterable[at.AtCommand], now: MonoNs) -> SentPacket | None:
-    """Return what a datagram of AT commands asks; None where it steers nothing."""
+    """Return what a datagram of AT commands requests; None where it steers nothing."""
     words = [command for command in commands if isinstance(command, at.Ref)]
     sticks = [command for command in commands if isinstance(command, at.Pcmd)]
     if any(word.emergency for word in words):
-        return SentPacket(now, Asks.STOP)
+        return SentPacket(now, WireRequest.STOP)
     if words and not words[-1].take_off:
-        return SentPacket(now, Asks.LAND)
+        return SentPacket(now, WireRequest.LAND)
     if not sticks:
         return None
     if sticks[-1].flags & at.PCMD_PROGRESSIVE:
-        return SentPacket(now, Asks.MOVE)
-    return SentPacket(now, Asks.HOVER if words else Asks.CENTRED)
+        return SentPacket(now, WireRequest.MOVE)
+    return SentPacket(now, WireRequest.HOVER if words else WireRequest.CENTRED)
 
 
 class Flight:
@@ -157,7 +157,7 @@ class Flight:
         return self._service.pilot
 
     def unwatched(self) -> None:
-        """Let nobody read what the health says of samples: without observers either, their results are not asked for."""
+        """Leave the results of samples out of health: without observers either, none are made."""
         self.watched = self._service.watched = False
 
     def step(self) -> bool:
@@ -165,8 +165,10 @@ class Flight:
         now = self._tick()
         if now is None:
             return False
-        over = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY) if self._gone else self.pilot.outcome is not None
-        return not over and seconds_between(self.world.started, now) < self._limit_s
+        ended = self.pilot.outcome is not None
+        if self._gone:
+            ended = self.world.phase in (VehiclePhase.LANDED, VehiclePhase.EMERGENCY)
+        return not ended and seconds_between(self.world.started, now) < self._limit_s
 
     def afterwards(self) -> Afterwards:
         """Go on after the outcome, and return what came of it.

@@ -3,8 +3,9 @@
 A fault has a `kind`, exactly one beginning (`at_s`, `below_height_m`, `above_height_m`, `in_phase` or `per_minute`) and a
 duration `for_s`; without one it lasts for the rest of the flight. The seed may put the beginning off (`drawn_within_s`).
 
-Each part of a flight (world, streams, sensors, camera, ship, person) hands its record to every active fault, which writes into it
-what it does there (`sitl.faults.acts`). No part asks for kinds.
+Vehicle, streams, sensors and camera each hand a record to every active fault, which writes into it what it does there
+(`sitl.faults.acts`). What only one kind does, a part looks for by that kind (`FaultTimer.on`): the ship's motion and reports, and
+the person.
 """
 
 import math

@@ -17,9 +17,10 @@ HANDS_ON = ("manual", "land", "emergency", *BY_REMOTE)
 STOPS = ("emergency", "disarm")
 """Acts that stop the motors wherever the vehicle is."""
 GIVES_BACK = ("begin", "stay", "takeoff", "reset")
-_REMEMBERED, _REMEMBERED_S = (*STAYS_UP, "land"), 30.0
-"""Acts that a service which comes back within this time carries on, s."""
-_TOLD_S = 9.0
+_REMEMBERED = (*STAYS_UP, "land")
+"""Acts that a service carries on which comes back within `_REMEMBERED_S`."""
+_REMEMBERED_S = 30.0
+_HELD_S = 9.0
 """Least time for which an order to hold stands whatever the charge is."""
 OBEYED_S = 0.3
 """Longest time in which an act is obeyed: a person's own time of reaction."""
@@ -52,7 +53,7 @@ _DECIDES = {
 }
 
 
-class Asks(Enum):
+class WireRequest(Enum):
     """The action that a packet requests of the vehicle."""
 
     HOVER = "hover"
@@ -70,7 +71,7 @@ class SentPacket(NamedTuple):
     """One packet that was sent to the vehicle, whether it arrives or not."""
 
     at: MonoNs
-    asks: Asks
+    request: WireRequest
 
 
 class HandsWatch:
@@ -146,15 +147,15 @@ class HandsWatch:
     def sent(self, wire: SentPacket) -> None:
         """Note a packet; call it in order of time."""
         is_late = self.act is None or seconds_between(self.since, wire.at) > OBEYED_S
-        if wire.asks is Asks.ARM and not self._may_start and is_late:
+        if wire.request is WireRequest.ARM and not self._may_start and is_late:
             whose = "" if self.act is None else f" after a person's {self.act}"
-            self.unordered.append(f"{wire.asks.value}{whose}")
+            self.unordered.append(f"{wire.request.value}{whose}")
         if self.act is None:
             return
         if self._agrees(self.act, wire):
             self._answered = True
         elif self._motors and self._unserved_since is None:
-            self._note(wire.at, wire.asks.value)
+            self._note(wire.at, wire.request.value)
 
     def step(self, truth: Truth, *, reached: bool, served: bool, on_deck: bool) -> None:
         """Note the true state at an instant; call it in order of time.
@@ -181,7 +182,7 @@ class HandsWatch:
             self._answered = True
         if self.act is not None and not self._answered and (served or self.act not in _REMEMBERED):
             self._note(truth.at, "nothing that obeys")
-        if self.act in STAYS_UP and truth.battery <= self._held_to and seconds_between(self.since, truth.at) > _TOLD_S:
+        if self.act in STAYS_UP and truth.battery <= self._held_to and seconds_between(self.since, truth.at) > _HELD_S:
             self.act = None
         if self.act is None or not self._stays_up or not motors or not reached:
             self._held_at_m = None
@@ -190,23 +191,25 @@ class HandsWatch:
             self._held_at_m = self._held_at_m or at_m
             self.sank_m = max(self.sank_m, descent_m(self._held_at_m, at_m))
 
-    def _note(self, at: MonoNs, asks: str) -> None:
+    def _note(self, at: MonoNs, request: str) -> None:
         late_s = seconds_between(max(self.since, self._back_at), at)
         if late_s > self.late_s:
-            self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {asks}"
+            self.late_s, self.disobeyed = late_s, f"{self.act}, and was sent: {request}"
 
     def _agrees(self, act: str, wire: SentPacket) -> bool:
         match act:
             case "emergency":
-                return wire.asks is Asks.STOP
+                return wire.request is WireRequest.STOP
             case "land":
                 # It is flown down by velocities, and the motors are stopped on the deck.
-                if wire.asks is Asks.STOP:
+                if wire.request is WireRequest.STOP:
                     return self._on_deck
-                return wire.asks in (Asks.LAND, Asks.MOVE, Asks.MODE) or (self._answered and wire.asks is Asks.CENTRED)
+                return wire.request in (WireRequest.LAND, WireRequest.MOVE, WireRequest.MODE) or (
+                    self._answered and wire.request is WireRequest.CENTRED
+                )
             case "manual" | "hold" | "abort":
                 # A place over a deck is held by moving, a velocity by tilts either way: the referee sees where that leads.
-                return wire.asks in (Asks.HOVER, Asks.CENTRED, Asks.MOVE, Asks.MODE)
+                return wire.request in (WireRequest.HOVER, WireRequest.CENTRED, WireRequest.MOVE, WireRequest.MODE)
         return False
 
 

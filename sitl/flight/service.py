@@ -49,7 +49,7 @@ class SimulatedService:
     ) -> None:
         self.pilot, self.health, self._clock = pilot, health, clock
         self.watched = True
-        """False if nobody reads what the health says of samples: without observers either, their results are not asked for."""
+        """False if health leaves the results of samples out: without observers either, none are made."""
         self._observed, self._vision_s = bool(observers), vision_s
         audience = Audience(tuple(observers), health, guarded=False)
         self.cycle = Cycle(pilot, health, audience, FramePace(settings.vision.core_fraction, pilot.camera, health))

@@ -50,7 +50,7 @@ class SteppedFlight(Protocol):
         ...
 
     def unwatched(self) -> None:
-        """Let nobody read what the health says of samples: without observers either, their results are not asked for."""
+        """Leave the results of samples out of health: without observers either, none are made."""
         ...
 
     def step(self) -> bool:

@@ -15,10 +15,16 @@ from msgspec import Struct
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import check_ranges, choice, number
 
-_WHITE_M, _WANDER_M, _WANDER_S = (0.004, 0.004, 0.008), (0.006, 0.006, 0.01), 40.0
-"""Noise of an epoch and wander by reflections, north, east and down, and the time over which that is alike."""
-_FLOAT_M, _FLOAT_S = (0.25, 0.25, 0.4), 15.0
-"""Error of estimated ambiguities, and the time over which it is alike."""
+_WHITE_M = (0.004, 0.004, 0.008)
+"""Standard deviation of an epoch's white noise, north, east and down."""
+_WANDER_M = (0.006, 0.006, 0.01)
+"""Standard deviation of the wander by reflections, on the same axes."""
+_WANDER_S = 40.0  # correlation time of that wander
+_FLOAT_M = (0.25, 0.25, 0.4)
+"""Standard deviation of the error while the ambiguities are estimated, on the same axes."""
+_FLOAT_S = 15.0  # correlation time of that error
+_CLAIMED_M = {"fixed": 0.01, "float": 0.2}
+"""Standard deviation that the receiver states for each kind of solution."""
 _WAVELENGTH_M = 0.19
 _CYCLES_MOST = 4
 _WRONG_S, _FLOATS_S, _DROPS_S = (2.0, 8.0), (4.0, 15.0), (0.3, 2.0)
@@ -102,12 +108,12 @@ class RtkErrors:
             return None
         error = self._wander + np.array(_WHITE_M) * noise[2]
         if self._left_s["float"] > 0.0:
-            return Epoch("float", error + self._floating, 0.2, right=False)
+            return Epoch("float", error + self._floating, _CLAIMED_M["float"], right=False)
         right = self._left_s["wrong"] <= 0.0
-        return Epoch("fixed", error if right else error + self._offset, 0.01, right)
+        return Epoch("fixed", error if right else error + self._offset, _CLAIMED_M["fixed"], right)
 
     def _runs(self, what: str, lasts_s: tuple[float, float], begins: bool) -> bool:
-        """Count the time of what goes on down; return whether it begins."""
+        """Count the remaining time of an event down; if that is over and `begins`, begin it again and return True."""
         self._left_s[what] = max(0.0, self._left_s[what] - self._period_s)
         if begins and self._left_s[what] <= 0.0:
             self._left_s[what] = self._rng.uniform(*lasts_s)
@@ -116,6 +122,7 @@ class RtkErrors:
 
 
 def _kept(error: F64, sigma: tuple[float, ...], time_s: float, dt: float, noise: F64) -> F64:
+    """Return a first-order Gauss-Markov error after one step, (3,) m."""
     keep = math.exp(-dt / time_s)
     kept: F64 = keep * error + math.sqrt(1.0 - keep * keep) * np.array(sigma) * noise
     return kept

@@ -84,7 +84,7 @@ class Physics:
         self._rows: list[Any] = []
         """The next rows of noise, as the core takes them."""
         self._ready = self._taken = 0
-        """Number of these rows that lie ready, and of those that were taken since they were asked for."""
+        """Number of these rows that lie ready, and of those that were taken since they were requested."""
 
     @property
     def sea_z(self) -> float:
@@ -207,7 +207,7 @@ class World:
         self._touched_s = math.nan
         """Time when the newest of them began, by the vehicle's own clock."""
         self._truth: tuple[tuple[int, float, int], Truth] | None = None
-        """The newest truth that was asked for, and of what it was made: step, phase, contacts."""
+        """The newest truth that was requested, and of what it was made: step, phase, contacts."""
         self._newest_image: Callable[[], NDArray[np.uint8]] | None = None
         self._picture_effects: PictureEffects | None = None
         self._renderer: Renderer | Film | None = None

@@ -78,7 +78,7 @@ def test_no_order_moves_a_drone_along_a_deck_that_may_be_within_reach(state, mem
 class Sea:
     """A drone that flies as it is ordered, with a lag, over a deck in a swell, and sees nothing."""
 
-    heard_each_s = DT
+    reports_each_s = DT
 
     def __init__(
         self, state: State, height_m: float, *, ranged: float | bool | None, over_ground: bool = False, swell_m: float = 0.0
@@ -93,7 +93,7 @@ class Sea:
         for _ in range(round(seconds / DT)):
             deck_up = self.swell_m * math.cos(math.tau * self.t / 9.0) * math.tau / 9.0
             read = self.height_m if self.ranged is True else self.ranged
-            knowledge, silent_s = Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), self.t % self.heard_each_s
+            knowledge, silent_s = Knowledge(ns(NOW + self.t), None, climb_max_m_s=1.0), self.t % self.reports_each_s
             s = GuidanceCycle(ns(NOW + self.t), knowledge, wind=WINDY, range_m=read or None, silent_s=silent_s)
             self.p, found, _ = mission_step(self.p, holding(s, self.over_ground), self.o)
             v = found.v_level if isinstance(found, Velocity) else np.zeros(3)
@@ -116,14 +116,14 @@ def test_from_the_deck_it_comes_out_of_reach_in_every_state(state: State, ranged
     assert flown.climbed_m < 2.0 * SAFE_M + 0.5, "and stays there"
 
 
-@pytest.mark.parametrize("heard_each_s", [1.0, 1e9])
-def test_a_vehicle_that_is_not_heard_is_sent_out_of_reach_and_not_for_ever(heard_each_s: float) -> None:
+@pytest.mark.parametrize("reports_each_s", [1.0, 1e9])
+def test_a_silent_vehicle_is_sent_out_of_reach_and_not_for_ever(reports_each_s: float) -> None:
     """WHY: one whose streams had ended, and whose HEARTBEAT came each second, was sent up by 6.6 m."""
     sea = Sea(State.SEARCH, 0.3, ranged=None, over_ground=True)
-    sea.heard_each_s = heard_each_s
+    sea.reports_each_s = reports_each_s
     assert SAFE_M - 0.3 < sea.fly(60.0).climbed_m < 2.0 * SAFE_M + 0.3
-    sea.heard_each_s, before_m = DT, sea.climbed_m
-    assert sea.fly(60.0).climbed_m - before_m > (SAFE_M - 0.3 if heard_each_s > 1.0 else -0.1), "it may have stayed below"
+    sea.reports_each_s, before_m = DT, sea.climbed_m
+    assert sea.fly(60.0).climbed_m - before_m > (SAFE_M - 0.3 if reports_each_s > 1.0 else -0.1), "it may have stayed below"
 
 
 @pytest.mark.parametrize("state", [State.SEARCH, State.HOLD_BLIND, State.REFUSED, State.PAUSED])
@@ -174,7 +174,7 @@ def test_a_drone_that_is_given_back_low_climbs_by_the_height_that_is_reckoned(st
 
 
 def test_a_nearer_range_is_believed_while_the_unseen_deck_is_thought_to_fall() -> None:
-    """WHY: a filter that begins anew takes a deck for one that falls from its crest, and the deck came up."""
+    """WHY: a filter that has just begun takes a deck for one that falls from its crest, and the deck came up."""
     for range_m, climbs in ((1.0, True), (None, False), (1.9, False)):
         s = GuidanceCycle(ns(NOW), Knowledge(ns(NOW), None, deck=deck(NOW, (0.5, 0.0, 0.8))), range_m=range_m)
         found = mission_step(waiting(State.HOLD_BLIND, seen_height_m=2.5, deck_rise_m=-1.0), s, OPTIONS)[1]

@@ -30,7 +30,7 @@ from sitl.ardrone.flight import of_at
 from sitl.emulators.autopilots.watch import MavlinkWires
 from sitl.flight.ending import AtEnd, Grade, grade, on_pad_m, outside_commit
 from sitl.flight.grader import RECEIVERS_M, UNREACHED_STOP_M, errand_of
-from sitl.flight.hands import Asks, Decides, SentPacket
+from sitl.flight.hands import Decides, SentPacket, WireRequest
 from sitl.flight.limits import Errand, limits_of
 from sitl.flight.referee import STAMP_ERROR_MAX_S, Referee, SightWatch, unsafe_contacts
 from sitl.scenario.scenario import load
@@ -122,10 +122,10 @@ def bounced(times: int, height: float = 0.2) -> list[Step]:
     return [Step(0.1 * n, clearance) for n, clearance in enumerate(heights)]
 
 
-def ordered(act: str, sent_s: float, asks: Asks) -> list[Step]:
+def ordered(act: str, sent_s: float, request: WireRequest) -> list[Step]:
     """Return a flight in which the last packet of a kind that does not obey is sent this long after an act."""
     act_at = Step(1.0, acts=((act, StickPositions()),))
-    return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(SentPacket(after(START, 1.0 + sent_s), asks),))]
+    return [Step(0.0), act_at, Step(1.0 + sent_s, sent=(SentPacket(after(START, 1.0 + sent_s), request),))]
 
 
 HOLD, LAND = (("hold", StickPositions()),), (("land", StickPositions()),)
@@ -133,13 +133,16 @@ HOLD, LAND = (("hold", StickPositions()),), (("land", StickPositions()),)
 
 def held(last: Step) -> list[Step]:
     """Return a flight that a person holds 1 m aside, with its last step."""
-    return [Step(0.0, acts=HOLD, sent=(SentPacket(START, Asks.HOVER),), aside=1.0), last]
+    return [Step(0.0, acts=HOLD, sent=(SentPacket(START, WireRequest.HOVER),), aside=1.0), last]
 
 
 def ordered_land(aside_m: float, **of: Any) -> list[Step]:
     """Return a flight that a person orders to land 2 m aside of the pad, and that touches this far from there."""
     there = touched("deck", at_s=3.0, p_body_pad=np.array([2.0 + aside_m, 0.0, 0.0]), lateral_m=2.0 + aside_m, over_rim_m=2.0)
-    return [Step(0.0, aside=2.0, acts=LAND, sent=(SentPacket(START, Asks.LAND),), **of), Step(3.0, aside=2.0, contacts=(there,))]
+    return [
+        Step(0.0, aside=2.0, acts=LAND, sent=(SentPacket(START, WireRequest.LAND),), **of),
+        Step(3.0, aside=2.0, contacts=(there,)),
+    ]
 
 
 def ended(charge: float, unseen_s: float, lateral_m: float = 1.0) -> list[Step]:
@@ -178,8 +181,8 @@ EDGES: dict[str, tuple[Callable[[float], list[Step]], float, float]] = {
     "ending_battery": (lambda s: holds(s, battery=0.05), 25.0, 25.25),
     "empty_s": (lambda s: [*(Step(0.25 * n, battery=0.0) for n in range(round(4 * s))), Step(s, 0.0)], 1.0, 1.25),
     "held_sank_m": (lambda h: [Step(0.0, acts=HOLD), Step(0.1), Step(0.2, 3.0 - h)], 0.49, 0.51),
-    "lands_late": (lambda s: [Step(0.0, acts=LAND, sent=(SentPacket(START, Asks.LAND),)), Step(s)], 35.5, 35.6),
-    "disobeyed_s": (lambda s: ordered("hold", s, Asks.LAND), 0.3, 0.31),
+    "lands_late": (lambda s: [Step(0.0, acts=LAND, sent=(SentPacket(START, WireRequest.LAND),)), Step(s)], 35.5, 35.6),
+    "disobeyed_s": (lambda s: ordered("hold", s, WireRequest.LAND), 0.3, 0.31),
     "unordered": (lambda n: [Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS if n else LANDED)], 0, 1),
     "blind_m": (lambda h: [Step(0.0), Step(1.5, seen=False), Step(1.6, 3.0 - h, seen=False)], 0.49, 0.51),
     "unreached_m": (lambda h: [Step(0.0), Step(0.5, reached=False), Step(0.6, 3.0 - h, reached=False)], 1.69, 1.71),
@@ -243,12 +246,12 @@ def test_a_contact_counts_once_and_nothing_before_the_first_step() -> None:
 
 
 BY_ACT = {
-    Decides.HOLD: ("hold", Asks.HOVER),
-    Decides.HAND: ("manual", Asks.MOVE),
-    Decides.LANDING: ("land", Asks.LAND),
+    Decides.HOLD: ("hold", WireRequest.HOVER),
+    Decides.HAND: ("manual", WireRequest.MOVE),
+    Decides.LANDING: ("land", WireRequest.LAND),
     Decides.AUTOPILOT: ("mode", None),
     Decides.AUTOPILOT_LANDS: ("landing mode", None),
-    Decides.CUT: ("emergency", Asks.STOP),
+    Decides.CUT: ("emergency", WireRequest.STOP),
 }
 """The act after which each of them decides, and what obeys it."""
 OF_AN_ACT = {
@@ -275,8 +278,8 @@ def under(whose: Decides, flight: list[Step]) -> list[Step]:
     if whose is Decides.CHARGE:
         blind = [replace(step, at_s=step.at_s + 20.0, battery=min(0.05, step.battery), seen=False) for step in flight]
         return [Step(0.0), *blind]
-    act, asks = BY_ACT[whose]
-    sent = () if asks is None else (SentPacket(START, asks),)
+    act, request = BY_ACT[whose]
+    sent = () if request is None else (SentPacket(START, request),)
     return [Step(-10.0, acts=((act, StickPositions(forward=0.5)),), sent=sent), *flight]
 
 
@@ -347,7 +350,7 @@ def test_a_landing_that_a_person_orders_is_his_place_and_in_sight_of_the_pad_it_
     unseen = [replace(step, at_s=step.at_s + 5.0, seen=False) for step in ordered_land(3.0)]
     assert judged(unseen).unsafe == (), "he was told that nobody sees it"
     on_pad = touched(at_s=3.0, p_body_pad=np.array([0.1, 0.0, 0.0]))
-    start = Step(0.0, aside=2.0, acts=LAND, sent=(SentPacket(START, Asks.LAND),))
+    start = Step(0.0, aside=2.0, acts=LAND, sent=(SentPacket(START, WireRequest.LAND),))
     assert judged([start, Step(3.0, contacts=(on_pad,))]).unsafe == (), "the pad is right wherever he ordered it"
     wet = Step(3.0, aside=9.0, contacts=(touched("water", at_s=3.0, lateral_m=9.0),))
     assert judged([replace(start, aside=9.0), wet], deck=SHIP).unsafe == (), "he ordered it over the water"
@@ -356,8 +359,8 @@ def test_a_landing_that_a_person_orders_is_his_place_and_in_sight_of_the_pad_it_
 
 def test_a_landing_that_a_person_ordered_may_stop_the_motors_on_the_deck_and_not_above_it() -> None:
     down = Step(2.0, 0.0, phase=LANDS)
-    stop = SentPacket(after(START, 2.1), Asks.STOP)
-    ordered_it = Step(0.0, acts=LAND, sent=(SentPacket(START, Asks.MOVE),))
+    stop = SentPacket(after(START, 2.1), WireRequest.STOP)
+    ordered_it = Step(0.0, acts=LAND, sent=(SentPacket(START, WireRequest.MOVE),))
     assert judged([ordered_it, down, Step(2.1, 0.0, sent=(stop,)), Step(2.2, 0.0, phase=LANDED)]).unsafe == ()
     (line,) = judged([ordered_it, replace(down, clearance=0.2), Step(2.1, 0.2, sent=(stop,))]).unsafe
     assert line == "a person ordered land, and was sent: stop the motors, still 2.1 s later"
@@ -365,7 +368,7 @@ def test_a_landing_that_a_person_ordered_may_stop_the_motors_on_the_deck_and_not
 
 def test_a_held_vehicle_may_stop_first_and_go_with_the_deck_or_stand_over_the_ground() -> None:
     fast = [Step(0.25 * n, aside=1.0 + 1.0 * n, v=(4.0, 0.0, 0.0)) for n in range(16)]
-    order = replace(fast[0], acts=HOLD, sent=(SentPacket(START, Asks.HOVER),))
+    order = replace(fast[0], acts=HOLD, sent=(SentPacket(START, WireRequest.HOVER),))
     stopped = [order, *fast[1:], Step(4.5, aside=20.0)]
     assert judged(stopped).unsafe == (), "four seconds to stop"
     assert judged([*stopped, Step(9.0, aside=24.5)]).unsafe == ()
@@ -389,11 +392,11 @@ def test_who_holds_it_low_answers_for_how_long_it_stays_there() -> None:
     for aside in (RADIUS_M - 0.1, RADIUS_M + 0.1):
         low = holds(200.0, clearance=0.4, aside=aside)
         for ordered_m, stays_m in ((0.4, 0.4), (1.3, 0.9)):
-            order = Step(-1.0, ordered_m, aside=aside, acts=HOLD, sent=(SentPacket(after(START, -1.0), Asks.HOVER),))
+            order = Step(-1.0, ordered_m, aside=aside, acts=HOLD, sent=(SentPacket(after(START, -1.0), WireRequest.HOVER),))
             assert judged([order, *holds(200.0, clearance=stays_m, aside=aside)]).unsafe == ()
         assert names & judged(under(Decides.HOLD, low)).as_json().keys(), "held high, it came down by itself"
         assert not names & judged(under(Decides.HAND, low)).as_json().keys(), "he flies it there"
-        centred = Step(-1.0, 0.4, acts=(("manual", StickPositions()),), sent=(SentPacket(START, Asks.HOVER),))
+        centred = Step(-1.0, 0.4, acts=(("manual", StickPositions()),), sent=(SentPacket(START, WireRequest.HOVER),))
         assert not names & judged([*under(Decides.HAND, []), centred, *low]).as_json().keys(), "and leaves it there"
         again = Step(0.0, 0.4, aside=aside, acts=(("begin", StickPositions()),))
         assert names & judged([centred, again, *low[1:]]).as_json().keys(), "what is given back low is guidance's"
@@ -437,8 +440,8 @@ def every(seconds: float, of: Callable[[float], dict[str, Any]], each_s: float =
     return [Step(round(each_s * n, 3), **of(each_s * n)) for n in range(round(seconds / each_s))]
 
 
-def after_order(act: str, asks: Asks, steps: list[Step]) -> list[Step]:
-    return [Step(0.0, acts=((act, StickPositions()),), sent=(SentPacket(START, asks),)), *steps[1:]]
+def after_order(act: str, request: WireRequest, steps: list[Step]) -> list[Step]:
+    return [Step(0.0, acts=((act, StickPositions()),), sent=(SentPacket(START, request),)), *steps[1:]]
 
 
 AROUND = [
@@ -453,19 +456,19 @@ AROUND = [
 HARD = touched("deck", at_s=1.0, foot_speed_m_s=4.0, lateral_speed_m_s=6.0, tilt_rad=1.05, lateral_m=5.0, over_rim_m=5.0)
 UNSEEN: dict[str, list[Step]] = {
     "by hand with the sticks centred, 300 m away at 15 m/s": after_order(
-        "manual", Asks.MOVE, every(20.0, lambda t: {"aside": 15.0 * t, "v": (15.0, 0.0, 0.0)})
+        "manual", WireRequest.MOVE, every(20.0, lambda t: {"aside": 15.0 * t, "v": (15.0, 0.0, 0.0)})
     ),
     "ordered to land, it strikes the deck": after_order(
-        "land", Asks.LAND, [*every(0.1, lambda t: {}), Step(1.0, 0.0, contacts=(HARD,))]
+        "land", WireRequest.LAND, [*every(0.1, lambda t: {}), Step(1.0, 0.0, contacts=(HARD,))]
     ),
     "ordered to land, in the water": after_order(
-        "land", Asks.LAND, [*every(0.1, lambda t: {}), Step(1.0, 0.0, contacts=(touched("water", at_s=1.0),))]
+        "land", WireRequest.LAND, [*every(0.1, lambda t: {}), Step(1.0, 0.0, contacts=(touched("water", at_s=1.0),))]
     ),
     "held, 20 m aside": after_order(
-        "hold", Asks.HOVER, every(6.0, lambda t: {"aside": min(24.0, 4.4 * t), "v": (4.4, 0.0, 0.0)})
+        "hold", WireRequest.HOVER, every(6.0, lambda t: {"aside": min(24.0, 4.4 * t), "v": (4.4, 0.0, 0.0)})
     ),
     "held, it climbs away": after_order(
-        "hold", Asks.HOVER, every(6.0, lambda t: {"clearance": 3.0 + min(6.5, 4.0 * t), "v": (0.0, 0.0, -4.0)})
+        "hold", WireRequest.HOVER, every(6.0, lambda t: {"clearance": 3.0 + min(6.5, 4.0 * t), "v": (0.0, 0.0, -4.0)})
     ),
     "10 cm over the pad for ten minutes": every(600.0, lambda t: {"clearance": 0.1}, 0.25),
     "along the deck in hops of 4 cm": every(600.0, lambda t: {"clearance": 0.04 * (t % 2.5 > 2.39), "aside": 0.2}, 0.1),
@@ -473,7 +476,7 @@ UNSEEN: dict[str, list[Step]] = {
     "at knee height beside the pad": holds(4.5, clearance=0.3, aside=2.0),
     "spins": every(10.0, lambda t: {"clearance": max(0.0, 3.0 - 0.3 * t), "turn_deg_s": 400.0}),
     "upside down at 3 m": every(1.0, lambda t: {"tilt_deg": 179.0}),
-    "held with an empty battery": after_order("hold", Asks.HOVER, every(600.0, lambda t: {"battery": 0.0}, 0.25)),
+    "held with an empty battery": after_order("hold", WireRequest.HOVER, every(600.0, lambda t: {"battery": 0.0}, 0.25)),
     "20 cm over people's feet, far from the pad": every(60.0, lambda t: {"clearance": 0.2, "aside": 24.0}),
     "low over the deck without a service": every(8.0, lambda t: {"clearance": 0.1, "aside": 3.0, "served": False}),
     "slides over the deck's edge": [
@@ -491,7 +494,9 @@ def test_a_truth_that_hurts_is_seen_whoever_has_the_vehicle(what: str) -> None:
 def test_who_gives_the_sticks_back_holds_it_until_he_orders_to_go_on() -> None:
     """WHY: after his release it waited 0.9 m over the deck for him, and that was charged to guidance."""
     taken = Step(0.0, 0.9, aside=1.0, acts=(("manual", StickPositions()),))
-    released = Step(0.1, 0.9, aside=1.0, acts=(("release", StickPositions()),), sent=(SentPacket(after(START, 0.1), Asks.MOVE),))
+    released = Step(
+        0.1, 0.9, aside=1.0, acts=(("release", StickPositions()),), sent=(SentPacket(after(START, 0.1), WireRequest.MOVE),)
+    )
     waits = [Step(0.25 * n, 0.9, aside=1.0) for n in range(1, 60)]
     assert judged([taken, released, *waits]).unsafe == ()
     goes_on = replace(waits[0], acts=(("begin", StickPositions()),))
@@ -536,7 +541,7 @@ def test_a_deck_that_goes_on_under_an_autopilot_that_holds_is_no_slide_of_it() -
 def test_a_cut_that_a_person_ordered_is_no_stop_of_ours_and_one_that_the_service_sends_is() -> None:
     cut = EDGES["motors_off_m"][0](3.0)
     assert judged(cut).unsafe == ("the motors stopped 3.00 m over the deck, where 0.05 m are the most",)
-    his = Step(-0.1, acts=(("emergency", StickPositions()),), sent=(SentPacket(START, Asks.STOP),))
+    his = Step(-0.1, acts=(("emergency", StickPositions()),), sent=(SentPacket(START, WireRequest.STOP),))
     assert judged([his, *cut]).unsafe == ()
 
 
@@ -546,40 +551,46 @@ UP = Ref(REF_BASE | REF_TAKE_OFF)
 
 def test_a_datagram_asks_for_the_gravest_of_its_commands() -> None:
     assert of_at([ComWdg()], START) is None
-    assert of_at([UP, STILL], START) == SentPacket(START, Asks.HOVER)
-    assert of_at([STILL], START) == SentPacket(START, Asks.CENTRED)
-    assert of_at([UP, GOES], START) == of_at([GOES], START) == SentPacket(START, Asks.MOVE)
-    assert of_at([Ref(REF_BASE), GOES], START) == SentPacket(START, Asks.LAND)
-    assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == SentPacket(START, Asks.STOP)
+    assert of_at([UP, STILL], START) == SentPacket(START, WireRequest.HOVER)
+    assert of_at([STILL], START) == SentPacket(START, WireRequest.CENTRED)
+    assert of_at([UP, GOES], START) == of_at([GOES], START) == SentPacket(START, WireRequest.MOVE)
+    assert of_at([Ref(REF_BASE), GOES], START) == SentPacket(START, WireRequest.LAND)
+    assert of_at([Ref(REF_BASE | REF_TAKE_OFF | REF_EMERGENCY), GOES], START) == SentPacket(START, WireRequest.STOP)
 
 
 @pytest.mark.parametrize(
     ("act", "obeys", "not_"),
     [
-        ("hold", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
-        ("abort", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
-        ("land", [Asks.LAND, Asks.MOVE, Asks.MODE], [Asks.HOVER, Asks.CENTRED, Asks.STOP]),
-        ("emergency", [Asks.STOP], [Asks.MOVE, Asks.HOVER, Asks.LAND]),
-        ("manual", [Asks.HOVER, Asks.MOVE], [Asks.LAND, Asks.STOP]),
+        ("hold", [WireRequest.HOVER, WireRequest.MOVE], [WireRequest.LAND, WireRequest.STOP]),
+        ("abort", [WireRequest.HOVER, WireRequest.MOVE], [WireRequest.LAND, WireRequest.STOP]),
+        (
+            "land",
+            [WireRequest.LAND, WireRequest.MOVE, WireRequest.MODE],
+            [WireRequest.HOVER, WireRequest.CENTRED, WireRequest.STOP],
+        ),
+        ("emergency", [WireRequest.STOP], [WireRequest.MOVE, WireRequest.HOVER, WireRequest.LAND]),
+        ("manual", [WireRequest.HOVER, WireRequest.MOVE], [WireRequest.LAND, WireRequest.STOP]),
     ],
 )
-def test_an_act_is_obeyed_by_what_it_means_from_a_third_of_a_second_on(act: str, obeys: list[Asks], not_: list[Asks]) -> None:
-    for asks in obeys:
-        assert judged([*ordered(act, 0.1, asks), *ordered(act, 9.0, asks)[2:]]).unsafe == ()
-    for asks in not_:
-        assert judged(ordered(act, 0.29, asks)).unsafe == ()
-        (line,) = judged(ordered(act, 5.0, asks)).unsafe
-        assert line == f"a person ordered {act}, and was sent: {asks.value}, still 5.0 s later"
+def test_an_act_is_obeyed_by_what_it_means_from_a_third_of_a_second_on(
+    act: str, obeys: list[WireRequest], not_: list[WireRequest]
+) -> None:
+    for request in obeys:
+        assert judged([*ordered(act, 0.1, request), *ordered(act, 9.0, request)[2:]]).unsafe == ()
+    for request in not_:
+        assert judged(ordered(act, 0.29, request)).unsafe == ()
+        (line,) = judged(ordered(act, 5.0, request)).unsafe
+        assert line == f"a person ordered {act}, and was sent: {request.value}, still 5.0 s later"
     late = Step(6.0, sent=(SentPacket(after(START, 6.0), not_[0]),))
     assert len(judged([*ordered(act, 0.1, obeys[0]), late]).unsafe) == 1, "to the end"
 
 
 def test_a_landing_goes_on_with_the_sticks_in_the_middle_once_it_was_sent() -> None:
     """WHY: a person's landing that a dying service's sender left alone counted as disobeyed."""
-    centred = Step(9.0, sent=(SentPacket(after(START, 9.0), Asks.CENTRED),))
-    assert judged([*ordered("land", 0.1, Asks.LAND), centred]).unsafe == ()
-    hover = replace(centred, sent=(SentPacket(after(START, 9.0), Asks.HOVER),))
-    assert len(judged([*ordered("land", 0.1, Asks.LAND), hover]).unsafe) == 1, "which takes off again"
+    centred = Step(9.0, sent=(SentPacket(after(START, 9.0), WireRequest.CENTRED),))
+    assert judged([*ordered("land", 0.1, WireRequest.LAND), centred]).unsafe == ()
+    hover = replace(centred, sent=(SentPacket(after(START, 9.0), WireRequest.HOVER),))
+    assert len(judged([*ordered("land", 0.1, WireRequest.LAND), hover]).unsafe) == 1, "which takes off again"
 
 
 def test_silence_is_no_obedience_unless_the_motors_stand_or_no_service_runs() -> None:
@@ -601,7 +612,7 @@ def test_what_a_person_holds_or_lands_is_his_when_the_service_comes_back_soon(ac
     assert referee.hands.late_s == 0.0
     at = after(START, killed_s + 0.6)
     referee.step(replace(back, at_s=killed_s + 0.6).truth(), reached=True, served=True)
-    referee.hands.sent(SentPacket(at, Asks.STOP))
+    referee.hands.sent(SentPacket(at, WireRequest.STOP))
     assert (referee.hands.late_s > 0.3) is stands, "and is obeyed within a person's time of reaction"
 
 
@@ -619,7 +630,7 @@ def test_a_held_vehicle_follows_the_deck_and_is_not_charged_for_what_it_did_alon
 
 def test_an_order_that_was_given_before_a_stop_is_not_carried_out_after_it() -> None:
     for act, late_s, unsafe in (("begin", 2.1, 1), ("land", 2.1, 1), ("begin", 1.9, 0), ("hold", 9.0, 0), ("clear", 9.0, 0)):
-        referee = judged([Step(0.0), Step(1.0, acts=HOLD, sent=(SentPacket(after(START, 1.0), Asks.HOVER),))])
+        referee = judged([Step(0.0), Step(1.0, acts=HOLD, sent=(SentPacket(after(START, 1.0), WireRequest.HOVER),))])
         referee.hands.acts(act, after(START, 3.0), late_s=late_s)
         assert len(referee.hands.unordered) == unsafe
     before = judged([Step(0.0)])
@@ -629,7 +640,9 @@ def test_an_order_that_was_given_before_a_stop_is_not_carried_out_after_it() -> 
 
 def test_nothing_starts_that_nobody_ordered() -> None:
     assert judged([Step(0.0, 0.0, phase=STARTS)]).unsafe == (), "it was started before anybody watched"
-    assert judged([Step(1.0), Step(2.0, sent=(SentPacket(after(START, 2.0), Asks.MODE),))]).unsafe == (), "nobody has it but we"
+    assert judged([Step(1.0), Step(2.0, sent=(SentPacket(after(START, 2.0), WireRequest.MODE),))]).unsafe == (), (
+        "nobody has it but we"
+    )
     down, up = Step(0.0, 0.0, phase=LANDED), Step(1.0, 0.0, phase=STARTS)
     again = [Step(2.0), Step(3.0, 0.0, phase=LANDED), Step(4.0, 0.0, phase=STARTS)]
     begins = ERRAND._replace(takes_off=True)
@@ -640,7 +653,7 @@ def test_nothing_starts_that_nobody_ordered() -> None:
     assert judged([down, up, again[0], ask, again[2]], begins).unsafe == ()
     stopped = Step(0.5, 0.0, phase=LANDED, acts=(("emergency", StickPositions()),))
     assert judged([down, stopped, up], begins).unsafe == ("nobody ordered it: the motors started",), "a cut takes the start back"
-    arms = (Step(2.0, phase=LANDED, sent=(SentPacket(after(START, 2.0), Asks.ARM),)),)
+    arms = (Step(2.0, phase=LANDED, sent=(SentPacket(after(START, 2.0), WireRequest.ARM),)),)
     assert judged([Step(1.0, 0.0, phase=LANDED), *arms]).unsafe == ("nobody ordered it: arm",)
     assert judged([Step(1.0, 0.0, phase=LANDED), *arms], begins).unsafe == ()
     shut = [Step(0.0), Step(1.0, acts=(("disarm", StickPositions()),)), Step(1.1, phase=LANDED)]
@@ -728,14 +741,20 @@ def test_a_message_of_the_service_asks_by_its_command() -> None:
     wires = MavlinkWires()
     wires.from_vehicle(decoded(beat(Stack.PX4, "offboard")), START)
 
-    def asks(*data: bytes) -> list[Asks]:
+    def requests(*data: bytes) -> list[WireRequest]:
         packets = [wires.to_vehicle(decoded(one), START) for one in data]
-        return [packet.asks for packet in packets if packet is not None]
+        return [packet.request for packet in packets if packet is not None]
 
     modes = [asks_mode(Stack.PX4, mode) for mode in ("auto.land", "auto.rtl", "offboard", "auto.loiter")]
-    assert asks(*modes) == [Asks.LAND, Asks.LEAVE, Asks.MODE, Asks.MODE]
-    assert asks(OFF, ON, UP_S, AWAY, MOVES) == [Asks.STOP, Asks.ARM, Asks.ARM, Asks.LEAVE, Asks.MOVE]
-    assert asks(beat(Stack.PX4, "offboard"), packed_command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0)) == []
+    assert requests(*modes) == [WireRequest.LAND, WireRequest.LEAVE, WireRequest.MODE, WireRequest.MODE]
+    assert requests(OFF, ON, UP_S, AWAY, MOVES) == [
+        WireRequest.STOP,
+        WireRequest.ARM,
+        WireRequest.ARM,
+        WireRequest.LEAVE,
+        WireRequest.MOVE,
+    ]
+    assert requests(beat(Stack.PX4, "offboard"), packed_command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 30.0)) == []
 
 
 @pytest.mark.parametrize("sent", [MOVES, OFF, ON, AWAY, asks_mode(Stack.ARDUPILOT, "guided"), asks_mode(Stack.ARDUPILOT, "land")])

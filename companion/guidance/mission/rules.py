@@ -30,7 +30,7 @@ _SPENT_WAIT_S = 8.0
 _NEAR_DECK_S = 110.0
 """Time near the deck that a landing may have, all tries together, s: sound flights waited there for up to 109 s for a quiet deck
 (`weather_4`, seed 896010)."""
-_SWEEPS_MOST = 15
+_SWEEPS_ALL_MOST = 15
 """Sweeps out of the cone near the deck that a landing may have: three tries of them, the last in the widest cone."""
 _WIND_DWELL_S = 2.0
 """Time for which the wind must be too strong before anything is done about it, s."""
@@ -87,7 +87,7 @@ def landing_over(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Reason | 
         return None
     if p.low_s > _NEAR_DECK_S:
         return s.thing or Reason(ReasonCause.LOW_TIME, p.low_s, _NEAR_DECK_S)
-    return Reason(ReasonCause.SWEPT, float(p.sweeps), float(_SWEEPS_MOST)) if p.sweeps > _SWEEPS_MOST else None
+    return Reason(ReasonCause.SWEPT, float(p.sweeps), float(_SWEEPS_ALL_MOST)) if p.sweeps > _SWEEPS_ALL_MOST else None
 
 
 def against_order(p: Progress, s: GuidanceCycle) -> Reason | None:

@@ -124,16 +124,15 @@ class DeckVelocity:
         """Return the pad's velocity, (3,) m/s in ned; it is zero while nothing is known of pad and ship."""
         measured, rested = self._measured(now) if self._trusted() else None, self._autopilot.rested
         if not self._trusted():
-            self._known_s, self._at, self._kept = 0.0, None, None
-            self._velocity = self._over_waves = np.zeros(3)
+            self._kept = None
+            self._forget()
         if rested is not None and (self._kept is None or rested.at > self._kept[0]):
             self._kept = rested.at, rested.v_ned
         elif rested is not None and self._kept is not None and rested.at == self._kept[0] and not self._autopilot.steered:
             self._kept = rested.at, self._carried(now, rested)
         if self._at is not None and seconds_between(self._at, now) > FORGET_S:
             self._kept = self._at, self._steady * (1.0, 1.0, 0.0)
-            self._known_s, self._at = 0.0, None
-            self._velocity = self._over_waves = np.zeros(3)
+            self._forget()
         if measured is not None:
             since_s = 0.0 if self._at is None else min(seconds_between(self._at, now), 0.2)
             if self._at is None and (kept := self._kept_way(now)) is not None:
@@ -159,6 +158,11 @@ class DeckVelocity:
                 velocity = kept
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
+
+    def _forget(self) -> None:
+        """Forget what sights of the pad showed."""
+        self._known_s, self._at = 0.0, None
+        self._velocity = self._over_waves = np.zeros(3)
 
     @property
     def _steady(self) -> F64:

@@ -16,7 +16,7 @@ _WAITING = 8  # requests that may wait
 
 
 class GroundTool(NamedTuple):
-    """A tool as a name, and its answer in flight."""
+    """The name of a tool, and its answer in flight."""
 
     tool: str
     """A `Tool` of a `PageService`, as module:object."""
@@ -57,7 +57,7 @@ class LoadedTool(Tool):
             self._tool.on_frame(processed)
 
     async def run(self) -> None:
-        first = await anext(aiter(self._waiting))
+        first = await self._waiting.get()
         self._tool = tool = (await asyncio.to_thread(imported, self._named.tool))(self._service)
         for viewer, request in (first, *self._waiting.waiting()):
             tool.ask(viewer, request)

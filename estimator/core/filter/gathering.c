@@ -128,8 +128,9 @@ static void along_north(double c, double s, const double level[3], double ned[3]
     ned[2] = level[2];
 }
 
-/* A velocity that was refused since an instant: what was off at once leapt, and what grew is the accelerometer's, which began to err. */
-static void leapt_or_misfelt(const dl_belief *b, double *P, const dl_aid *begun, const double *innov)
+/* Explain a streak of refused velocities: the error that it began with is a leap of body and vessel together, and the error that has
+ * grown since is the accelerometer's bias. */
+static void split_leap_and_bias(const dl_belief *b, double *P, const dl_aid *begun, const double *innov)
 {
     const dl_aid *streak = &b->aids[DL_VELOCITY];
     const int m = (int)begun->m;
@@ -185,7 +186,7 @@ static void inflate(const dl_belief *b, covariance *c, int kind, const dl_aid *b
     } else if (kind == DL_VELOCITY) {
         AT(P, DL_VEL_SCALE, DL_VEL_SCALE) += 0.01;
         if ((begun->axes & HORIZONTAL) == HORIZONTAL) {
-            leapt_or_misfelt(b, P, begun, innov);
+            split_leap_and_bias(b, P, begun, innov);
         }
     } else if (kind == DL_HEIGHT) {
         AT(P, DL_BARO_OFFSET, DL_BARO_OFFSET) += innov[0] * innov[0];

@@ -17,8 +17,8 @@ from estimator.vision.detection import Detection
 from estimator.vision.pad.information import alike_headings, confusable_turns
 from estimator.vision.pad.lamps import places_of
 from estimator.vision.pad.pad import Pad
-from estimator.vision.track.config import TrackerConfig as TrackerConfig
-from estimator.vision.track.memory import TrackerMemory as TrackerMemory
+from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.memory import TrackerMemory
 from estimator.vision.track.tracker import track
 
 _RADII = 5.0  # Height of the drawn view in radii of the pad's disc: all of the pad fits into any camera's frame

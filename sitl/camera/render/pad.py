@@ -210,7 +210,7 @@ def in_row(planes: F32, s: F32) -> F32:
     return np.asarray(b + s * (np.float32(0.5) * (c - a)) + s * s * (np.float32(0.5) * (c + a) - b), dtype=np.float32)
 
 
-def smear(scene: U16, lens: Lens, middle: tuple[F64, F64], ends: list[tuple[F64, F64]]) -> U16:
+def smear(scene: U16, lens: Lens, middle: Pose, ends: list[Pose]) -> U16:
     """Return the scenery (H, W, 4) blurred along its motion in the middle of the frame, if that is a pixel or more."""
     camera = lens.camera
     R, t = middle

@@ -18,7 +18,7 @@ from sitl.emulators.autopilots.body import Body
 from sitl.faults.kinds import OperatorActs
 from sitl.flight.ending import Ending
 from sitl.flight.grader import FlightGrader
-from sitl.flight.hands import STOPS, Asks, SentPacket
+from sitl.flight.hands import STOPS, SentPacket, WireRequest
 from sitl.flight.limits import ON_DECK_M
 from sitl.world.truth import RenderedFrame
 
@@ -43,16 +43,16 @@ class MavlinkWires:
         self._stack = mavlink.Stack.OTHER
         self._mode, self._armed, self._critical = "", False, False
         self._requested: dict[str, MonoNs] = {}
-        """The newest request for each mode, and for `Asks.STOP`."""
+        """The newest request for each mode, and for `WireRequest.STOP`."""
         self._moved_at: MonoNs | None = None
         """Time of the newest setpoint."""
         self._ended = False
         """True while PX4 is in the mode to which it left OFFBOARD by itself: that failsafe is the end of our own stream."""
 
     def to_vehicle(self, message: Message, at: MonoNs) -> SentPacket | None:
-        """Return what a message of the service asks; None where it asks nothing."""
-        asks = self._asked(message, at)
-        return None if asks is None else SentPacket(at, asks)
+        """Return what a message of the service requests; None where it requests nothing."""
+        request = self._request_in(message, at)
+        return None if request is None else SentPacket(at, request)
 
     def from_vehicle(self, m: Message, at: MonoNs) -> str | None:
         """Return the act of a person, or of a failsafe, that a message shows: a mode, or disarming, that was not requested."""
@@ -64,7 +64,7 @@ class MavlinkWires:
         # It leaves OFFBOARD and comes back with our stream.
         ends = self._ends(mode, at) or (self._ended and mode == mavlink.VELOCITY_MODE[mavlink.Stack.PX4])
         self._ended = (ends or self._ended) and mode in (self._mode, mavlink.HOLD_MODE[mavlink.Stack.PX4])
-        if self._armed and not armed and not self._was_requested(Asks.STOP.value, at):
+        if self._armed and not armed and not self._was_requested(WireRequest.STOP.value, at):
             act = "disarm"
         elif armed and self._mode not in ("", mode) and not self._was_requested(mode, at) and not ends:
             act = "landing mode" if mode in _LANDS else "mode"
@@ -86,38 +86,38 @@ class MavlinkWires:
         requested = self._requested.get(what)
         return requested is not None and seconds_between(requested, at) <= _LAPSES_S
 
-    def _asked(self, m: Message, at: MonoNs) -> Asks | None:
+    def _request_in(self, m: Message, at: MonoNs) -> WireRequest | None:
         match m.get_type():
             case "SET_POSITION_TARGET_LOCAL_NED" | "SET_ATTITUDE_TARGET":
                 self._moved_at = at
-                return Asks.MOVE
+                return WireRequest.MOVE
             case "COMMAND_LONG" | "COMMAND_INT":
                 return self._command(m, at)
         return None
 
-    def _command(self, m: Message, at: MonoNs) -> Asks | None:
+    def _command(self, m: Message, at: MonoNs) -> WireRequest | None:
         if m.command == mav.MAV_CMD_DO_SET_MODE:
             px4 = self._stack is mavlink.Stack.PX4
             mode = mavlink.mode_name(self._stack, int(m.param2) << 16 | int(m.param3) << 24 if px4 else int(m.param2))
             self._requested[mode] = at
             return (
-                Asks.LAND
+                WireRequest.LAND
                 if mode in mavlink.LAND_MODE.values()
-                else Asks.LEAVE
+                else WireRequest.LEAVE
                 if mode in mavlink.RETURN_MODE.values()
-                else Asks.MODE
+                else WireRequest.MODE
             )
         if m.command == mav.MAV_CMD_COMPONENT_ARM_DISARM:
             if not m.param1:
-                self._requested[Asks.STOP.value] = at
-            return Asks.ARM if m.param1 else Asks.STOP
+                self._requested[WireRequest.STOP.value] = at
+            return WireRequest.ARM if m.param1 else WireRequest.STOP
         if m.command == mav.MAV_CMD_DO_REPOSITION:
             self._requested["guided" if self._stack.is_ardupilot else mavlink.HOLD_MODE[mavlink.Stack.PX4]] = at
-            return Asks.LEAVE
+            return WireRequest.LEAVE
         if m.command == mav.MAV_CMD_NAV_TAKEOFF:
             # PX4 climbs in a mode of its own, and then holds by itself.
             self._requested |= {"auto.takeoff": at, mavlink.HOLD_MODE[mavlink.Stack.PX4]: after(at, _CLIMBS_S)}
-            return Asks.ARM
+            return WireRequest.ARM
         return None
 
 

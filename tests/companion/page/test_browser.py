@@ -20,7 +20,7 @@ from estimator.contracts.commands import CutMotors, Hover, Velocity
 from estimator.contracts.estimates import RelativeState
 from estimator.contracts.time import MonoNs
 from estimator.vision.detection import Detection, NearThing, PadCheck, PadThing
-from tests.companion.page.test_tools import FASTER, RIG, rig
+from tests.companion.page.test_settings_tool import FASTER, RIG, rig
 from tests.support.browser import CALM, MARKS, PHONE, TRIES, WAIT_MS, chromium, playwright, violations, window
 from tests.support.certificates import make_certificates
 from tests.support.page_service import TOKEN, serving

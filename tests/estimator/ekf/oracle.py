@@ -744,8 +744,8 @@ def _drifting(P: F64, innov: F64) -> F64:
     return np.asarray(P + (_COMMON.T * (level, level, innov[2] ** 2)) @ _COMMON)
 
 
-def _leapt_or_misfelt(b: State, innov: F64) -> F64:
-    """Return the covariance after a streak of refusals: what was off at once leapt, what grew is the accelerometer's."""
+def _split_leap_and_bias(b: State, innov: F64) -> F64:
+    """Return the covariance after a streak of refused velocities: its first error is a leap, what grew is the bias."""
     aid, R_ned_level = b.aids[VELOCITY], about_down(math.atan2(b.R[1, 0], b.R[0, 0]))
     made = np.append(innov, np.zeros(3 - innov.size))
     grows = (made - aid.first) / ((b.t - aid.refused) * 1e-9)
@@ -771,7 +771,7 @@ def _inflated(b: State, kind: int, innov: F64, axes: tuple[int, ...]) -> F64:
         P[ATT_ERR, ATT_ERR] += I3 * (0.1 * size)
         P[ATT_BIAS, ATT_BIAS] += size
     elif kind == VELOCITY:
-        P = _leapt_or_misfelt(b, innov) if axes[:2] == (0, 1) else P
+        P = _split_leap_and_bias(b, innov) if axes[:2] == (0, 1) else P
         P[VEL_SCALE, VEL_SCALE] += 0.01
     elif kind == HEIGHT:
         P[BARO_OFFSET, BARO_OFFSET] += float(innov[0]) ** 2

@@ -202,9 +202,9 @@ def test_a_pad_of_one_region_is_looked_for(region: dict[str, Any]) -> None:
 
 def test_no_step_where_methods_come_and_go_on_the_way_down() -> None:
     """Steps of less than 3 cm in what the methods say together, where one of them comes or goes, from 14 m to 0.2 m."""
-    stage, memory, out = Stage(CAMERA, PAD, Surroundings(), Light(), seed=4), TrackerMemory(), []
+    seen_from, memory, out = stage(4), TrackerMemory(), []
     for height_m in np.geomspace(14.0, 0.2, 30):
-        view = stage.view(float(height_m), lateral=0.05, tilt_rad=math.radians(3.0))
+        view = seen_from.view(float(height_m), lateral=0.05, tilt_rad=math.radians(3.0))
         seen, memory = track(tracker(), memory, view.frame(), attitude_of(view), estimate_of(view, (0.01, -0.005, 0.01)))
         assert seen.selected is not None, f"nothing at {height_m:.2f} m"
         cues = {method for method, cue in seen.methods.items() if cue is not None}
@@ -226,19 +226,19 @@ def curve_of(tone: str) -> np.ndarray:
 
 @pytest.mark.parametrize(("tone", "steps", "within_mm"), [("srgb", {0}, 0.1), ("linear", {-9, -10}, 0.2), ("clipped", {0}, 0.3)])
 def test_a_track_learns_the_tone(camera: Camera, pad: Pad, tone: str, steps: set[int], within_mm: float) -> None:
-    stage, memory, off_mm = Stage(camera, pad, sensor=Sensor(exposure_s=0.0)), TrackerMemory(), list[float]()
-    tracker, curve = TrackerConfig(camera, pad), curve_of(tone)
+    seen_from, memory, off_mm = Stage(camera, pad, sensor=Sensor(exposure_s=0.0)), TrackerMemory(), list[float]()
+    config, curve = TrackerConfig(camera, pad), curve_of(tone)
     for k in range(20):
-        view, ns = stage.view(1.0), MonoNs(10**9 + 310_000_000 * k)
+        view, ns = seen_from.view(1.0), MonoNs(10**9 + 310_000_000 * k)
         stamp, cov = Stamp(ns, ns, 0.0, "sim"), np.diag([1e-6] * 3 + [0.01] * 3 + [4e-4])
-        estimate_of = RelativeState(ns, "ekf", view.d_body_pad_level, np.zeros(3), view.yaw_rad, cov, ns, True)
-        attitude_of = Attitude(stamp, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * 1e-8)
-        seen, memory = track(tracker, memory, Frame(stamp, k, curve[view.px]), attitude_of, estimate_of)
+        estimate = RelativeState(ns, "ekf", view.d_body_pad_level, np.zeros(3), view.yaw_rad, cov, ns, True)
+        reported = Attitude(stamp, Rotation.from_rpy(view.roll_rad, view.pitch_rad, 0.0), np.eye(3) * 1e-8)
+        seen, memory = track(config, memory, Frame(stamp, k, curve[view.px]), reported, estimate)
         off_mm.append(1e3 * (math.dist(seen.selected.d_body_pad_level, (0, 0, 0)) - math.dist(view.d_body_pad_level, (0, 0, 0))))
     assert memory.tone.steps in steps
     assert abs(np.median(off_mm[-8:])) < within_mm
     assert tone != "linear" or abs(np.median(off_mm[:2])) > 0.5
-    _, memory = track(tracker, memory, Frame(stamp, 20, np.zeros_like(view.px)), None)
+    _, memory = track(config, memory, Frame(stamp, 20, np.zeros_like(view.px)), None)
     assert memory.tone.steps in {min(0, step + 1) for step in steps}
 
 
@@ -248,8 +248,8 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
     pad, exposure = shipped_pad(name), shot(height_m, (0.02, 0.03), (0.08, -0.05, yaw_rad))
     px = Renderer(PLAIN, pad).render(exposure, np.random.default_rng(3))
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
-    attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
-    found = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of)[0].selected
+    reported = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+    found = track(config, TrackerMemory(), Frame(STAMP, 0, px), reported)[0].selected
     assert found.confidence > 0.9
     assert found.yaw_ambiguous
     assert abs(found.d_body_pad_level[2] - (exposure.p_pad_ned - exposure.p_body_ned)[2]) < 0.003 * height_m
@@ -261,37 +261,37 @@ def test_a_letter_is_found_up_to_its_symmetry(name: str, height_m: float, yaw_ra
 
 @pytest.mark.parametrize("name", ["h", "x"])
 def test_a_letter_is_not_seen_on_decks_and_sea_without_one(name: str) -> None:
-    """A bare H used to be seen on 37 of 40 of these, an X on 25."""
+    """WHY: without the verification a bare H was seen on 37 of 40 of these, an X on 25."""
     config = TrackerConfig(load_camera("sim"), shipped_pad(name), TrackerOptions(method="registration"))
     sure = 0
     for i in range(12):
         rng = np.random.default_rng([9200, i])
         scene = empty_scene(rng, config.camera, float(np.exp(rng.uniform(math.log(0.4), math.log(20.0)))))
         R = scene.R_level_body
-        attitude_of = None if R is None else Attitude(STAMP, R, 3e-4 * np.eye(3))
-        seen = track(config, TrackerMemory(), Frame(STAMP, 0, scene.px), attitude_of)[0].selected
+        reported = None if R is None else Attitude(STAMP, R, 3e-4 * np.eye(3))
+        seen = track(config, TrackerMemory(), Frame(STAMP, 0, scene.px), reported)[0].selected
         sure += seen is not None and seen.confidence >= 0.5
     assert sure == 0
 
 
 @pytest.mark.parametrize(("name", "sigma"), [("h", 0.004), ("h", 0.02), ("x", 0.02)])
 def test_a_letter_that_is_followed_is_at_its_place_or_rejected(name: str, sigma: float) -> None:
-    """Half of the fits beside a distant letter used to take the bare deck for one of another size, at a confidence of 1."""
+    """WHY: half of the fits beside a distant letter took the bare deck for one of another size, at a confidence of 1."""
     pad = shipped_pad(name)
     config = TrackerConfig(PLAIN, pad, TrackerOptions(method="registration"))
     renderer, rng, sure = Renderer(PLAIN, pad), np.random.default_rng(17), 0
     for height_m in (4.0, 7.0, 10.0):
         exposure = shot(height_m, (0.02, 0.03), (0.4, -0.3, 0.3))
         px = renderer.render(exposure, rng)
-        attitude_of = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
+        reported = Attitude(STAMP, exposure.R_ned_body, 1e-6 * np.eye(3))
         true = Rotation.from_rpy(0.0, 0.0, exposure.R_ned_body.rpy_rad[2]).inv @ (exposure.p_pad_ned - exposure.p_body_ned)
         heading = (exposure.R_ned_body.inv @ exposure.R_ned_pad).rpy_rad[2]
         for _ in range(5):
             sigma_m = sigma * height_m
             cov = np.diag([sigma_m**2] * 3 + [0.01] * 3 + [4e-4])
             near = true + rng.normal(0.0, sigma_m, 3)
-            estimate_of = RelativeState(STAMP.measured_at, "ekf", near, np.zeros(3), heading, cov, STAMP.measured_at, True)
-            seen = track(config, TrackerMemory(), Frame(STAMP, 0, px), attitude_of, estimate_of)[0].selected
+            estimate = RelativeState(STAMP.measured_at, "ekf", near, np.zeros(3), heading, cov, STAMP.measured_at, True)
+            seen = track(config, TrackerMemory(), Frame(STAMP, 0, px), reported, estimate)[0].selected
             if seen is not None and seen.confidence >= 0.5:
                 sure += 1
                 assert np.linalg.norm(seen.d_body_pad_level - true) < 0.03 * height_m

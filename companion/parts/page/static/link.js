@@ -14,8 +14,8 @@ export class Link {
   #handlers = new Map();
   #socket = null;
   #token = "";
-  #heard = 0;
-  #said = "";
+  #receivedAt = 0;
+  #refusal = "";
   #decoder = new TextDecoder();
   onLost = () => {};
   onQuiet = () => {};
@@ -31,7 +31,7 @@ export class Link {
   }
 
   get quiet_s() {
-    return (performance.now() - this.#heard) / 1000;
+    return (performance.now() - this.#receivedAt) / 1000;
   }
 
   get live() {
@@ -46,15 +46,15 @@ export class Link {
     const socket = new WebSocket(address);
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
-    this.#heard = performance.now();
-    this.#said = "";
+    this.#receivedAt = performance.now();
+    this.#refusal = "";
     socket.onopen = () => socket.send(JSON.stringify({ kind: "login", token, page: PAGE }));
     socket.onmessage = (message) => this.#take(message.data);
     socket.onclose = (event) => {
       if (this.#socket !== socket) return;
       this.#socket = null;
-      if (event.code === WRONG_TOKEN) this.onRefused(this.#said || event.reason || "the token is wrong");
-      else this.#again(this.#said || event.reason || "The connection is lost", event.code === GOING && this.#said !== "");
+      if (event.code === WRONG_TOKEN) this.onRefused(this.#refusal || event.reason || "the token is wrong");
+      else this.#again(this.#refusal || event.reason || "The connection is lost", event.code === GOING && this.#refusal !== "");
     };
   }
 
@@ -72,7 +72,7 @@ export class Link {
   }
 
   #take(data) {
-    this.#heard = performance.now();
+    this.#receivedAt = performance.now();
     if (data instanceof ArrayBuffer) {
       const length = new DataView(data).getUint32(0, true);
       const header = JSON.parse(this.#decoder.decode(new Uint8Array(data, 4, length)));
@@ -81,7 +81,7 @@ export class Link {
     }
     const given = JSON.parse(data);
     const message = inUnits(given);
-    if (message.kind === "refused") this.#said = message.text;
+    if (message.kind === "refused") this.#refusal = message.text;
     else for (const handler of this.#handlers.get(message.kind) ?? []) handler(message, given);
   }
 

@@ -68,8 +68,8 @@ $("login-form").addEventListener("submit", (event) => {
   link.open(sessionStorage.getItem(TOKEN));
 });
 
-// What is shown stays old until the first state of a new connection, which may be to another run of the service; and what one
-// said that has ended holds, whatever the tries until then meet.
+// The page is old from a loss until the first state of a new connection, which may be to another run of the service. The reason
+// that a service gave for its end stays shown, whatever errors the tries to connect again meet.
 let [old, ended, run] = [false, "", null];
 
 link.on("welcome", (message) => {

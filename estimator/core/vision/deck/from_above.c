@@ -7,7 +7,7 @@
 /* A frame's sides are FRAME_SIDE_MAX at most, so that places in it fit 32 bits. */
 enum { NODES_MAX = 512, BETWEEN_MAX = 64 };
 
-/* A place in an image in 1/64 px: where the four pixels about it begin, and how far it is from the first of them. */
+/* Interpolate between four pixels, of which `at` is the first; the place lies along and down from it, in 1/64 px. */
 static inline uint8_t between_four(const uint8_t *at, int64_t stride, int along, int down)
 {
     const int above = at[0] * (64 - along) + at[3] * along, below = at[stride] * (64 - along) + at[stride + 3] * along;
@@ -36,13 +36,14 @@ static inline int32_t fixed(float px)
     return (int32_t)(65536.0f * px);
 }
 
-/* A run of pixels on a straight way through the image, px: where it begins and goes, and whether all of it is within or beyond. */
+/* A run of pixels on a straight line through the image, px: its begin, its step, the image's end, and whether all of it is inside the
+ * image or outside. */
 typedef struct {
     float at[2], step[2], end[2];
     int inside, outside;
 } way;
 
-/* The way between two nodes on either side, so far down to those below them. */
+/* Return the run between two nodes, at a share `down` of the distance to the nodes below them. */
 static way way_of(const dl_image *image, const float *from, const float *to, float down, int between)
 {
     way out = {.end = {(float)image->width - 2.0f, (float)image->height - 2.0f}, .inside = 1};
@@ -60,8 +61,8 @@ static inline float limited_to(float value, float most)
     return value > 0.0f ? (value < most ? value : most) : 0.0f;
 }
 
-/* Draw a run that is not all within the image. Beyond its border the nearest pixels are taken, of a run that is all beyond it the nearest
- * of its first. */
+/* Draw a run that is not all inside the image. Outside, the nearest pixels of the image are taken; a run that lies all outside repeats its
+ * first pixel. */
 static void run_beyond(const dl_image *image, const way *along, int count, int channels, uint8_t *out, uint8_t *shown)
 {
     for (int k = 0; k < count; k++) {

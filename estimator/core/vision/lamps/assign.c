@@ -104,7 +104,7 @@ static double length_in_frame(double at, double radius, double length)
 }
 
 /* Count the spots about the pad that no lamp explains. */
-static void count_strangers(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose,
+static void count_outliers(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_spots *spots, const dl_pad_pose *pose,
                             const int explained[DL_LAMP_SPOTS_MAX], lamp_assignment *out)
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, reach_m = 0.0, p[3], uv[2];
@@ -116,7 +116,7 @@ static void count_strangers(const dl_lens *camera, const dl_lamp_pattern *pad, c
     for (int k = 0; k < (int)pad->lamps; k++) {
         reach_m = fmax(reach_m, hypot(pad->x_m[k] - x, pad->y_m[k] - y));
     }
-    out->strangers = 0, out->area_px2 = 1.0;
+    out->outliers = 0, out->area_px2 = 1.0;
     pad_point(pose, x, y, p);
     if (!(p[2] > NEAREST_LAMP_M)) {
         return;
@@ -127,7 +127,7 @@ static void count_strangers(const dl_lens *camera, const dl_lamp_pattern *pad, c
     const double height_px = length_in_frame(uv[1], radius, (double)camera->height);
     out->area_px2 = LAMPS_PI / 4.0 * width_px * height_px;
     for (int k = 0; k < spots->n; k++) {
-        out->strangers += !explained[k] && distance(uv, spots->spot[k].uv) < radius;
+        out->outliers += !explained[k] && distance(uv, spots->spot[k].uv) < radius;
     }
 }
 
@@ -148,8 +148,8 @@ void assign_lamps(const dl_lens *camera, const dl_lamp_pattern *pad, const lamp_
     }
     out->expected = out->groups + count_missing(pad, &shown, out->spot);
     if (in_view == 0) {
-        out->strangers = 0, out->area_px2 = 1.0;
+        out->outliers = 0, out->area_px2 = 1.0;
         return;
     }
-    count_strangers(camera, pad, spots, pose, explained, out);
+    count_outliers(camera, pad, spots, pose, explained, out);
 }

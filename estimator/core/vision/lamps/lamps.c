@@ -34,16 +34,16 @@ static const double LEAST_SHARE = 0.6; /* That part. */
 static const double EXPECTED_TESTS = 20.0;
 /* Logarithm of the number of false alarms at which lights are as likely the pad's as not: one frame in a hundred. */
 static const double EVEN_LOG10 = -2.0;
-/* What a light among the lamps that is none of them speaks against the pad, and a lamp in view that does not shine. */
-static const double STRANGER_LOG10 = 0.7, MISSING_LOG10 = 0.5;
-static const double ASTRAY_SIGMAS = 3.0; /* Standard deviations by which the middle spot may be off. */
-static const double ASTRAY_LOG10 = 1.0; /* What each one more speaks against the pad. */
+/* Weight against the pad of a light among the lamps that is none of them, and of a lamp in view that does not shine. */
+static const double OUTLIER_LOG10 = 0.7, MISSING_LOG10 = 0.5;
+static const double OFF_CENTRE_SIGMAS = 3.0; /* Standard deviations by which the middle spot may be off. */
+static const double OFF_CENTRE_LOG10 = 1.0; /* Weight against the pad of each further one. */
 static const double LEAST_LOG10 = -12.0; /* Least odds. */
 static const double MOST_LOG10 = 12.0; /* Largest odds. */
 static const double MOST_CHANCE = 0.9; /* Largest chance of a test. */
 static const double LEAST_TAIL = 1e-300; /* Least probability that a logarithm is taken of. */
 /* Confidence below which lights are no sighting at all. */
-static const double WORTH_TELLING = 0.01;
+static const double LEAST_CONFIDENCE = 0.01;
 static const double ANSWERS_APART = 0.1; /* Part of the range by which two answers differ: less than a lamp's own step around the pad. */
 static const double TURNED_RAD = 0.2; /* Angle by which they do, rad. */
 
@@ -88,7 +88,7 @@ static double log10_tail(int n, int k, double p)
 /* The probability that one of the spots about the pad lies this near to a place by chance. */
 static double chance(const lamp_assignment *of, double within_px)
 {
-    const double spots = of->groups + of->strangers;
+    const double spots = of->groups + of->outliers;
     return fmin(MOST_CHANCE, spots * LAMPS_PI * within_px * within_px / of->area_px2);
 }
 
@@ -107,8 +107,8 @@ static double log10_odds(const dark_frame *f, const lamp_assignment *of, const l
         const double third = within > 2 ? log10((n - 2) * chance(of, WITHIN_PX[k] + tilt_px)) : 0.0;
         alarms = fmin(alarms, fmin(0.0, third) + log10_tail(n - 3, within - 3, chance(of, WITHIN_PX[k])));
     }
-    alarms += log10(tests * DISTANCES) + STRANGER_LOG10 * of->strangers + MISSING_LOG10 * (n - of->groups);
-    alarms += ASTRAY_LOG10 * fmax(0.0, fit->middle_sigmas - ASTRAY_SIGMAS);
+    alarms += log10(tests * DISTANCES) + OUTLIER_LOG10 * of->outliers + MISSING_LOG10 * (n - of->groups);
+    alarms += OFF_CENTRE_LOG10 * fmax(0.0, fit->middle_sigmas - OFF_CENTRE_SIGMAS);
     return fmax(LEAST_LOG10, EVEN_LOG10 - alarms);
 }
 
@@ -181,7 +181,7 @@ static int write_surest(const dark_frame *f, int n, const explained_lamps *found
     for (int k = 1; k < n; k++) {
         best = found[k].log10_odds > found[best].log10_odds ? k : best;
     }
-    if (n == 0 || !((out->confidence = confidence_of(n, found, best)) >= WORTH_TELLING)) {
+    if (n == 0 || !((out->confidence = confidence_of(n, found, best)) >= LEAST_CONFIDENCE)) {
         return 0;
     }
     out->pose = found[best].fit.pose;
@@ -220,8 +220,8 @@ static int find_spots(dl_tracker *t, const uint8_t *frame, const int at[4], dark
     return 1;
 }
 
-/* The part of a frame about the expected lamps, as far as others speak against them: left, top, right and low; 0 if there is hardly
- * any. */
+/* Find the part of a frame that holds the expected lamps and the lights that count against them: left, top, right and low edge. Return 0
+ * if hardly any of it is in the frame. */
 static int part_about(const dl_lens *camera, const dl_lamp_pattern *pad, const dl_expected_lamps *at, int part[4])
 {
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, p[3], uv[2];
@@ -247,7 +247,7 @@ static int part_about(const dl_lens *camera, const dl_lamp_pattern *pad, const d
     return 1;
 }
 
-/* How many spots lie near lamps that are shifted in the frame, one that lies just there counting as one. */
+/* Count the spots near lamps that are shifted in the frame; a spot counts as 1 at its lamp, and less the farther it is. */
 static double near_spots(const lamp_spots *spots, int n, const double uv[DL_LAMPS_MAX][2], double du, double dv, double within_px)
 {
     double sum = 0.0;

@@ -52,7 +52,7 @@ typedef struct {
     int32_t spot[DL_LAMPS_MAX];
     /* Number of spots that lamps explain, of those that the lamps in view would make, and of others about the pad; the area of the
      * pad's surroundings in the frame, px^2. */
-    int groups, expected, strangers;
+    int groups, expected, outliers;
     double area_px2;
 } lamp_assignment;
 
