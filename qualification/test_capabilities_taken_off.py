@@ -20,8 +20,15 @@ REMOVABLE = (
     "campaigns and studies", "learned parts",
 )  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
-TESTS = {"imports of others' files": ("tests/companion/test_config_import.py",)}
-"""Tests of a capability by its command alone, which import nothing of it."""
+TESTS = {
+    "imports of others' files": ("tests/companion/test_config_import.py",),
+    "ship's wires": (
+        "tests/companion/doctor/test_gather.py",
+        "tests/companion/doctor/test_rules.py",
+        "tests/companion/page/test_tools.py",
+    ),
+}
+"""Tests by a capability's command or keys of the settings, which import nothing of it."""
 RIGS = {"AR.Drone": r'load\w*\("sim"|kind"?(?:: | = |=)"ardrone"'}
 """Text of tests that stand on a capability's own rig: the profile `sim` is an AR.Drone's."""
 CONFTEST = "tests/conftest.py"
