@@ -16,6 +16,7 @@ from benches.house_counts import OWNERS
 
 ROOT = Path(__file__).parents[1]
 REMOVABLE = (
+    "AR.Drone",
     "MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires", "imports of others' files", "pads from pictures, printing",
     "campaigns and studies", "learned parts",
 )  # fmt: skip

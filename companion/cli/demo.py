@@ -12,15 +12,16 @@ import socket
 import sys
 import tempfile
 from collections.abc import Sequence
-from contextlib import AsyncExitStack, ExitStack, suppress
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, AsyncExitStack, ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from msgspec import structs
 
 from companion.base import event_loop
 from companion.base.health import Health
 from companion.base.mission import FlightOutcome
+from companion.base.observer import Observer
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.base.signals import check, ending_signal, more_time
 from companion.cli import flight_options, kept_flight
@@ -33,25 +34,20 @@ from companion.parts.page.access import make_token
 from companion.parts.page.link import certify, network_address, qr_code
 from companion.service.assemble import live, make_daemon
 from companion.service.daemon import Daemon
-from companion.settings.capabilities import require_key
+from companion.settings.capabilities import installed_vehicles, require_key, vehicle_kind
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
 from companion.settings.load import kept_folder, shipped
 from companion.settings.model import Settings
 from drivers.clock import SystemClock
 from drivers.endpoint import parse_endpoint
-from drivers.pyav import has_pyav
 from estimator.contracts.errors import BadInput, file_errors, refused
+from estimator.contracts.tables import imported
 from estimator.contracts.time import MonoNs, seconds_between
-from sitl.ardrone.state import GENERATIONS
-from sitl.emulators.ardrone.child import ArDroneInChild
 from sitl.flight.ending import Ending, Load
-from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
+from sitl.scenario.scenario import Scenario
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.settings import replaced_keys
 from sitl.world.truth import Truth
-
-if TYPE_CHECKING:
-    from sitl.emulators.autopilots.stand_in.rehearsal import Rehearsal
 
 _STATION = "udpout://127.0.0.1:14550"
 """Link by which ground stations and `decklander start` find an autopilot in miniature: the usual port."""
@@ -62,10 +58,6 @@ _PROBE_S = 0.1
 """Time for which the demo continues after the landing, s, so that the recording shows the drone on the ground."""
 _LIVE = "foxglove"
 """The key of [http] that serves live data, where its capability is installed."""
-_WITHOUT_VIDEO = (
-    "an AR.Drone 1.0 flies, for PyAV is not installed; for the 2.0 with its sharper camera: pip install 'decklander[video]'"
-)
-"""Notice where nothing can decode the 2.0's H.264."""
 _ORDER_EACH_S = 0.2
 """Time between two orders to land, while the first ones are refused, s."""
 
@@ -102,6 +94,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
+    if args.ardrone1:
+        vehicle_kind("ardrone")  # it is refused where that is not installed
+    in_child = next((kind.demo for kind in installed_vehicles() if kind.demo), "")
+    args.autopilot = args.autopilot or (None if in_child else "arducopter")
     alone = "--config, --set and --station go with --autopilot: the AR.Drone flies by the profile sim"
     refuse_any(
         (args.autopilot is None and (args.config or args.set or args.station), alone),
@@ -109,24 +105,49 @@ def run(args: argparse.Namespace) -> int:
     )
     scenario = load_scenario(args.scenario)
     with more_time(_REPORT_S), tempfile.TemporaryDirectory(prefix="decklander-") as folder, ExitStack() as beside:
-        own = Path(folder) / "truth.jsonl"
-        drone = _ardrone(args, scenario, own) if args.autopilot is None else _miniature(args, scenario)
+        drone: DemoVehicle
+        if args.autopilot is None:
+            drone = imported(in_child)(args.scenario, scenario, args.seed, Path(folder) / "truth.jsonl", first=args.ardrone1)
+        else:
+            drone = _miniature(args, scenario)
         place = _place(args, drone.settings.http)
         beside.enter_context(drone.rendering())
         return event_loop.run(_demo(args, drone, place, Path(folder)))
 
 
-def _ardrone(args: argparse.Namespace, scenario: Scenario, truth: Path) -> ArDroneInChild:
-    """Return the AR.Drone of the scenario, or a 1.0 where nothing can decode the 2.0's H.264."""
-    if scenario.vehicle.generation != "1.0" and not args.ardrone1 and not has_pyav():
-        sys.stderr.write(f"{_WITHOUT_VIDEO}\n")
-        args.ardrone1 = True
-    scenario = with_ardrone1(scenario) if args.ardrone1 else scenario
-    GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
-    return ArDroneInChild(args.scenario, scenario, args.seed, truth)
+class DemoVehicle(Protocol):
+    """A simulated vehicle, as the demo flies it once."""
+
+    scenario: Scenario
+    settings: Settings
+    """Settings of the service, without the vehicle's ports."""
+    frames_due: int
+    """Numbers of frames that it had to send and sent; known after it has ended, like `stood_still_s`."""
+    frames_sent: int
+    stood_still_s: float
+
+    def rendering(self) -> AbstractContextManager[None]:
+        """Prepare what makes its frames, before there is an event loop."""
+        ...
+
+    def flying(self) -> AbstractAsyncContextManager[Settings]:
+        """Let it fly, and give the settings with its ports."""
+        ...
+
+    def observers(self, pilot: Pilot, health: Health) -> Sequence[Observer]:
+        """Return its observers of the service."""
+        ...
+
+    def serve(self, daemon: Daemon) -> None:
+        """Serve the daemon with what does not come by its ports."""
+        ...
+
+    def truth(self) -> Sequence[Truth]:
+        """Return the true states that a recording keeps, in order of time; call it after its end."""
+        ...
 
 
-def _miniature(args: argparse.Namespace, scenario: Scenario) -> Rehearsal:
+def _miniature(args: argparse.Namespace, scenario: Scenario) -> DemoVehicle:
     """Return the autopilot in miniature beside the settings of the command.
 
     Raises:
@@ -145,7 +166,7 @@ def _miniature(args: argparse.Namespace, scenario: Scenario) -> Rehearsal:
     return world
 
 
-async def _demo(args: argparse.Namespace, drone: ArDroneInChild | Rehearsal, place: HttpSettings, folder: Path) -> int:
+async def _demo(args: argparse.Namespace, drone: DemoVehicle, place: HttpSettings, folder: Path) -> int:
     clock, token, scenario = SystemClock(), make_token(), drone.scenario
     async with AsyncExitStack() as flying:
         with named_wait("starting the simulated vehicle"):
@@ -219,7 +240,7 @@ def _ending(
     duration_s: float,
     truth: Sequence[Truth],
     health: Health,
-    drone: ArDroneInChild | Rehearsal,
+    drone: DemoVehicle,
 ) -> Ending:
     contacts, started = (truth[-1].contacts, truth[0].at) if truth else ((), MonoNs(0))
     delays = health.delays.get("guidance_late")

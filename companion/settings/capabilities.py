@@ -51,6 +51,8 @@ class VehicleKind(NamedTuple):
     """The function that makes its part of the service: a `companion.cycle.ports.MakeVehicle`."""
     flight: str = ""
     """The simulated flight of a vehicle with frames of its own (`sitl.flight.stepped.SteppedFlight`); empty for others."""
+    demo: str = ""
+    """The function that makes its simulated vehicle for `companion.cli.demo` (a `DemoVehicle`); empty for none."""
     answering: str = ""
     """Its vehicles whose address and camera are known, a tuple of `drivers.vehicle.AnsweringVehicle`; empty for none."""
 
@@ -139,6 +141,7 @@ CAPABILITIES = (
                 "companion.parts.ardrone.make:make_vehicle",
                 flight="sitl.ardrone.flight:Flight",
                 answering="companion.parts.ardrone.answering:VEHICLES",
+                demo="sitl.emulators.ardrone.child:demo_vehicle",
             )
         },
         importers={"NAVDATA": "drivers.ardrone.capture:import_navdata", "PAVE": "drivers.ardrone.capture:import_video"},

@@ -15,9 +15,11 @@ from companion.guidance.pilot import Pilot
 from companion.service.daemon import Daemon
 from companion.settings.load import load
 from companion.settings.model import Settings
+from drivers.pyav import has_pyav
 from estimator.contracts.errors import Recoverable
+from sitl.ardrone.state import GENERATIONS
 from sitl.emulators.ardrone.truth_log import read as read_truth
-from sitl.scenario.scenario import Scenario
+from sitl.scenario.scenario import Scenario, camera_model, with_ardrone1
 from sitl.scenario.settings import in_world
 from sitl.world.truth import Truth
 
@@ -25,6 +27,31 @@ _READY_S = 120.0
 """Longest time until the simulated vehicle has started."""
 _KEEP_EACH = 4
 """Every fourth sample of the truth is kept: it comes at 100 Hz, and the report needs 25 Hz."""
+
+
+_WITHOUT_VIDEO = (
+    "an AR.Drone 1.0 flies, for PyAV is not installed; for the 2.0 with its sharper camera: pip install 'decklander[video]'"
+)
+"""Notice where nothing can decode the 2.0's H.264."""
+
+
+def demo_vehicle(name: str, scenario: Scenario, seed: int, truth: Path, *, first: bool) -> "ArDroneInChild":
+    """Return the AR.Drone of the scenario, or a 1.0 where nothing can decode the 2.0's H.264.
+
+    Args:
+        name: of the scenario, as its process reads it.
+        truth: the file that its process writes its truth into.
+        first: whether it is a 1.0 whatever the scenario says.
+
+    Raises:
+        BadInput: it does not go with the scenario's camera.
+    """
+    if scenario.vehicle.generation != "1.0" and not first and not has_pyav():
+        sys.stderr.write(f"{_WITHOUT_VIDEO}\n")
+        first = True
+    scenario = with_ardrone1(scenario) if first else scenario
+    GENERATIONS[scenario.vehicle.generation].check_camera(camera_model(scenario))
+    return ArDroneInChild(name, scenario, seed, truth)
 
 
 class ArDroneInChild:
