@@ -160,6 +160,7 @@ CAPABILITIES = (
         importers={
             "SENTENCES": "companion.parts.ship.logs:read_sentences",
             "NETWORK": "drivers.nmea.network_log",
+            "MOTION": "drivers.nmea.motion",
         },
     ),
     Capability(

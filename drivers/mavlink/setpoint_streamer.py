@@ -383,7 +383,7 @@ class SetpointStreamer:
         if now.flying is False:
             yield HandEvent.DOWN if now.armed is False else HandEvent.STOOD
         elif now.flying and self._climb is not None:
-            self._climb.flew = True
+            self._climb.on_flying(self._now)
             yield HandEvent.LIFTED if in_mode else HandEvent.OTHER_MODE
         if in_mode:
             yield HandEvent.IN_MODE
@@ -423,6 +423,8 @@ class SetpointStreamer:
     def on_position(self, down_m: float) -> None:
         """Take the autopilot's position below its own origin, metres."""
         self._down_m = down_m
+        if self._climb is not None:
+            self._climb.on_position(down_m)
 
     def on_place(self, place: GeoPoint, now: MonoNs) -> None:
         """Take the autopilot's place on the Earth."""
@@ -644,7 +646,7 @@ class SetpointStreamer:
         o, climb = self._o, self._climb
         over = climb is None or self._mode is None or seconds_between(climb.began, now) > o.take_off_timeout_s
         barred = climb is not None and not climb.flew and self._failsafe_acts
-        if climb is None or over or barred or climb.done(self._down_m, self._condition):
+        if climb is None or over or barred or climb.done(now, self._down_m):
             self._end_take_off(now)
             return []
         out: list[Message] = []

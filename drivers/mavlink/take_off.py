@@ -69,7 +69,21 @@ class TakingOff:
         self._arm_asked: MonoNs | None = None
         self._armed_at: MonoNs | None = None
         """Time of the answer that it is armed."""
-        self.flew = False
+        self._flew_at: MonoNs | None = None
+
+    @property
+    def flew(self) -> bool:
+        """True once the vehicle has left the deck."""
+        return self._flew_at is not None
+
+    def on_flying(self, now: MonoNs) -> None:
+        """Note that the vehicle flies."""
+        self._flew_at = self._flew_at or now
+
+    def on_position(self, down_m: float) -> None:
+        """Take the position below the autopilot's origin where the one at the order was not known and it still stands, m."""
+        if self._from_m is None and not self.flew:
+            self._from_m = down_m
 
     @property
     def arms(self) -> bool:
@@ -92,10 +106,13 @@ class TakingOff:
         """Return how far it has climbed."""
         return 0.0 if down_m is None or self._from_m is None else self._from_m - down_m
 
-    def done(self, down_m: float | None, condition: Condition) -> bool:
-        """Return whether the height is reached; where no height is known, whether it flies."""
-        blind = down_m is None or self._from_m is None
-        return self.flew and (blind or self.climbed_m(down_m) >= self._height_m)
+    def done(self, now: MonoNs, down_m: float | None) -> bool:
+        """Return whether the height is reached; where no height is known, whether it has flown for as long as that takes."""
+        if self._flew_at is None:
+            return False
+        if down_m is None or self._from_m is None:
+            return CLIMB_M_S * seconds_between(self._flew_at, now) >= self._height_m
+        return self.climbed_m(down_m) >= self._height_m
 
     def steers(self, down_m: float | None, condition: Condition) -> bool:
         """Return whether setpoints are sent: ArduCopter's own take-off must have left the deck."""

@@ -27,7 +27,7 @@ from tests.companion.virtual_flight import VirtualClock, settled
 from tests.fly import ObservedCalls, near, sim_settings
 from tests.make import same_bits
 
-STEPS = 360
+STEPS = 600
 
 
 class Stream:
@@ -122,7 +122,7 @@ def test_flight_daemon_and_replay_make_the_same_of_one_stream(scenario: Scenario
     stream = Stream(scenario, settings)
     flown = stream.outputs
     assert len(flown.frames) > 20
-    assert len(flown.decisions) > 60
+    assert len(flown.decisions) > 100
     for outputs in (asyncio.run(by_the_daemon(stream, settings)), by_replay(stream, settings)):
         for name in ("samples", "results", "decisions"):
             theirs, ours = getattr(outputs, name), getattr(flown, name)

@@ -331,11 +331,14 @@ def test_guidance_that_is_back_is_heard_until_the_autopilot_holds_by_itself(stac
     assert silent.streamer.hand is Hand.PERSON
 
 
-def test_taking_off_step_by_step() -> None:
+@pytest.mark.parametrize("known_late", [False, True])
+def test_taking_off_step_by_step(known_late: bool) -> None:
     flight = Flight(Stack.ARDUPILOT, "stabilize")
     flight.streamer.on_condition(Condition("stabilize", False, False))
-    flight.streamer.on_position(0.0)
+    if not known_late:
+        flight.streamer.on_position(0.0)
     flight.streamer.take(TakeOff(), flight.now)
+    flight.streamer.on_position(0.0)
     assert modes(flight.periods(0.2)) == [(4, 0)]
     flight.streamer.on_condition(Condition("guided", False, False))
     (arm,) = flight.periods(1.0)
@@ -351,6 +354,21 @@ def test_taking_off_step_by_step() -> None:
     flight.periods(0.04)
     assert flight.streamer.hand is Hand.OURS
     assert velocities(flight.periods(0.04)) == [(0.0, 0.0, 0.0, 0.0)]
+
+
+def test_a_take_off_without_a_height_lasts_as_long_as_the_climb() -> None:
+    """WHY: it was done as soon as it flew, and a drone hung .13 m over the deck."""
+    flight = Flight(Stack.ARDUPILOT, "guided")
+    flight.streamer.on_condition(Condition("guided", False, False))
+    flight.streamer.take(TakeOff(), flight.now)
+    flight.periods(0.4)
+    for flying in (False, True):
+        flight.streamer.on_condition(Condition("guided", True, flying))
+        flight.periods(0.2)
+    flight.periods(2.5)
+    assert flight.streamer.hand is Hand.TAKING_OFF
+    flight.periods(0.6)
+    assert flight.streamer.hand is Hand.OURS
 
 
 def test_the_way_of_a_deck_is_the_mean_over_its_waves_and_since_the_filter_knew_it() -> None:
