@@ -30,8 +30,8 @@ TESTS = {
     ),
 }
 """Tests by a capability's command or keys of the settings, which import nothing of it."""
-RIGS = {"AR.Drone": r'load\w*\("sim"|kind"?(?:: | = |=)"ardrone"'}
-"""Text of tests that stand on a capability's own rig: the profile `sim` is an AR.Drone's."""
+RIGS = {"AR.Drone": r'(?:load|settings)\w*\("(?:sim|ardrone\d)"|rig_for\(.*"ardrone1"|kind"?(?:: | = |=)"ardrone"'}
+"""Text of tests that stand on a capability's own rig: the profiles `sim`, `ardrone1` and `ardrone2` are an AR.Drone's."""
 CONFTEST = "tests/conftest.py"
 """Imports in the bodies of its fixtures alone, so that it stays; tests that use a fixture that imports what is gone go."""
 BUILT = ("estimator/core", "sitl/core")

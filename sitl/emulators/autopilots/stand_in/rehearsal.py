@@ -142,7 +142,8 @@ class Rehearsal(NullObserver):
 
     def truth(self) -> Sequence[Truth]:
         """Return the true states that a recording keeps, in order of time, and the newest."""
-        return (*self._truths, self.body.truth())
+        last = self.body.truth()
+        return (*(one for one in self._truths if one.at < last.at), last)
 
     def observers(self, pilot: Pilot, health: Health) -> tuple[Observer, ...]:
         """Return the observers by which the service is followed, and drives the exposure where its settings say so."""
