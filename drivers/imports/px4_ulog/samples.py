@@ -135,7 +135,8 @@ def _all(
     if not of_log:
         return
     times = timeline([stamps_us[i] for i in of_log], tell)
-    begin_ns = (stamps_us[of_log[0]] - first_us) * 1000
+    began_us = next((stamps_us[i] for i, at_ns in zip(of_log, times, strict=True) if at_ns is not None), first_us)
+    begin_ns = (began_us - first_us) * 1000
     for i, at_ns in zip(of_log, times, strict=True):
         sample = None if at_ns is None else make(data, i, begin_ns + at_ns)
         if sample is not None:

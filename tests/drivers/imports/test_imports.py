@@ -434,6 +434,12 @@ def test_damage_ends_in_a_refusal_or_in_samples_in_order(kind: FileKind, draw: s
         _read_all(kind, Path(folder) / "log", bytes(data))
 
 
+def test_an_absurd_stamp_in_a_topics_first_row_moves_none_of_the_others(tmp_path: Path) -> None:
+    """WHY: the topic's own time began at the absurd one, and its samples were centuries after the others."""
+    stamp = FILES[FileKind.ULOG].index(b"\x1b\x00D\x04\x00") + 5
+    _read_all(FileKind.ULOG, tmp_path / "log", FILES[FileKind.ULOG][:stamp] + b"\xff" * 8 + FILES[FileKind.ULOG][stamp + 8 :])
+
+
 def _read_all(kind: FileKind, path: Path, data: bytes) -> None:
     path.write_bytes(data)
     for read in READERS[kind]:
