@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -49,7 +50,7 @@ class RenderWorker:
     def _receive(self) -> None:
         try:
             self._orders.recv()
-        except EOFError as why:
+        except (EOFError, OSError) as why:
             raise RuntimeError("the process that renders has ended") from why
         self._kept[self._made] = self._frame_slots[self._made % len(self._frame_slots)].copy()
         self._made += 1
@@ -79,7 +80,8 @@ def render_worker(renderer: Renderer | Film) -> Iterator[RenderWorker | None]:
 
 
 def _work(renderer: Renderer | Film, orders: Any, not_ours: Any, frame_slots: NDArray[np.uint8]) -> None:
-    os.setpgid(0, 0)  # Ctrl-C is for the process that it renders for
+    os.setpgid(0, 0)  # Ctrl-C is for the process that it renders for, and so is an interrupt of both by their name
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     not_ours.close()  # or the end of the other side would never be noticed
     cv2.setNumThreads(1)
     try:
