@@ -13,6 +13,9 @@ from msgspec import Struct
 
 from estimator.contracts.keys import CheckedOptions
 
+PHASE_MODES = ("", "flying", "hovering")
+"""Modes of a vehicle that reports its phase of flight as its mode, or nothing: they do not say whether it flies by velocities."""
+
 
 class Claim(Struct, frozen=True):
     """A thing that one service of this computer has for itself."""
@@ -49,8 +52,8 @@ class AnsweringVehicle(Struct, frozen=True):
     camera_file: str
     answers: Callable[[str], bool]
     """True for a host at which it answers."""
-    missing: str
-    """The step that comes first where it does not answer at `{host}`."""
+    missing: Callable[[str], str]
+    """Returns the step that comes first where it does not answer at a host."""
     settings: tuple[str, ...] = ()
     """The further lines of its table [vehicle]."""
     searched: bool = False

@@ -34,7 +34,7 @@ from companion.parts.page.access import make_token
 from companion.parts.page.link import certify, network_address, qr_code
 from companion.service.assemble import live, make_daemon
 from companion.service.daemon import Daemon
-from companion.settings.capabilities import installed_vehicles, require_key, vehicle_kind
+from companion.settings.capabilities import has_key, installed_vehicles, require_key, vehicle_kind
 from companion.settings.links import HttpSettings, VideoStreamOptions, on_loopback
 from companion.settings.load import kept_folder, shipped
 from companion.settings.model import Settings
@@ -284,7 +284,7 @@ def _with_http(settings: Settings, args: argparse.Namespace, place: HttpSettings
     token_file.write_text(token)
     page, live, endpoint = args.page is not None, args.foxglove is not None, "https" if place.certificate_file else "http"
     given = str(token_file) if page else ""
-    shown_live = {_LIVE: live} if hasattr(place, _LIVE) else {}
+    shown_live = {_LIVE: live} if has_key(f"http.{_LIVE}") else {}
     http = structs.replace(place, endpoint=endpoint, token_file=given, page=page, **shown_live)
     return structs.replace(
         settings, http=http, guidance=structs.replace(settings.guidance, start="signal") if page else settings.guidance

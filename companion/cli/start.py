@@ -362,7 +362,7 @@ def _next_steps(answers: Answers, out: Path, *, sound: bool, there: bool) -> Non
     autopilot = own is None
     say("\n")
     if own is not None and not there:
-        say(f"first:              {own.missing.replace('{host}', answers.link)}\n")
+        say(f"first:              {own.missing(answers.link)}\n")
     elif not sound:
         fix = f" ({command} doctor --config {file} --fix sets parameters)" if autopilot else ""
         say(f"first:              mend what is named above{fix}\n")

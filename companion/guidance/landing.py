@@ -48,6 +48,7 @@ from companion.settings.load import shipped_response
 from companion.settings.operator import LimitOptions, ManualOptions
 from companion.settings.vessel import ReportLimits
 from drivers.mavlink.options import VELOCITY_MODES
+from drivers.vehicle import PHASE_MODES
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
 from estimator.contracts.samples import (
@@ -85,8 +86,6 @@ _RANGE_S = 0.2
 """Age up to which a range counts for a contact, s."""
 _BARO_S = 2.5
 """Age up to which a barometer counts against the orders, s: an autopilot sends one reading a second."""
-_ANY_MODE = ("", "flying", "hovering")
-"""Modes of a vehicle that does not say whether it flies by velocities."""
 _TAKES_MODE_S = 10.0
 """Time that an autopilot may take to change to our mode after an order, s."""
 _FAULTED = frozenset({State.GO_AROUND, State.REFUSED, State.GAVE_UP, State.ANOTHER_PAD})
@@ -577,7 +576,7 @@ class LandingGuidance:
         by_mode = not self.hold.over_ground or mode in VELOCITY_MODES
         if command is not self._ordered:
             self.mission = flown_by_others(self.mission)
-        elif not by_mode and mode not in _ANY_MODE and self.mission.in_state_s(now) < _TAKES_MODE_S:
+        elif not by_mode and mode not in PHASE_MODES and self.mission.in_state_s(now) < _TAKES_MODE_S:
             # No climb is flown before the autopilot has taken our mode.
             self.mission = structs.replace(self.mission, climbs_m_s=0.0)
         response = self._response.on_command(now, command, self.state, flown=by_mode)

@@ -312,8 +312,13 @@ def require_key(key: str, wanted: str) -> None:
         BadInput: it is not; the message says what to install.
     """
     for capability in CAPABILITIES:
-        if key in capability.keys:
+        if key in capability.keys or key.partition(".")[0] in capability.tables:
             capability.require(wanted)
+
+
+def has_key(key: str) -> bool:
+    """Return whether a capability that is installed adds this key to the settings."""
+    return any(key in capability.keys and is_installed(capability.module) for capability in CAPABILITIES)
 
 
 def installed_vehicles() -> Iterator[VehicleKind]:

@@ -34,6 +34,7 @@ from estimator.contracts.errors import BadInput, file_errors, refused
 from estimator.contracts.tables import imported
 from estimator.contracts.text import text_of
 from estimator.vision.camera.camera import Camera
+from estimator.vision.camera.files import foreign_camera, is_foreign
 from estimator.vision.pad.file import Calibration
 from estimator.vision.pad.pad import Pad
 
@@ -42,10 +43,6 @@ __all__ = [
     "read_camera", "read_toml", "response_model", "shipped", "shipped_response",
 ]  # fmt: skip
 
-_FOREIGN = "estimator.vision.camera.files:foreign_camera"
-"""The reader of camera files of other programs, loaded where one is named."""
-_FOREIGN_BEGINS = ("# oST", "<", "{", "%YAML")
-"""Beginnings of such files, and of none of ours; those that end as YAML need none."""
 _DEEP_PARTS = 50
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"{_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_DEEP_PARTS},}}")
@@ -205,8 +202,8 @@ def read_camera(path: Path) -> Camera:
         BadInput: it cannot be read, is none of them, or has a fault.
     """
     text = read_text(path)
-    foreign = text.lstrip("\ufeff \r\n\t").startswith(_FOREIGN_BEGINS) or path.suffix.lower() in (".yaml", ".yml")
-    return Camera.from_mapping(imported(_FOREIGN)(text, str(path)) if foreign else toml_of(text, path, "fx"), str(path))
+    foreign = is_foreign(text, str(path))
+    return Camera.from_mapping(foreign_camera(text, str(path)) if foreign else toml_of(text, path, "fx"), str(path))
 
 
 def mount_assumed(path: Path) -> tuple[str, ...]:

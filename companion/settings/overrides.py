@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from companion.settings.capabilities import require_key
 from companion.settings.load import from_mapping
 from companion.settings.model import EXPERT, Settings
 from companion.settings.remarks import without_effect
@@ -36,6 +37,7 @@ def with_overrides(settings: Settings, texts: Sequence[str], where: str) -> Sett
         key, value = key_and_text(text, where, "estimator.history_s=1")
         present = leaf(tables, key.split("."))
         if present is NOTHING:
+            require_key(key, f"{where}: {key}")
             hint = nearest(key, [*dict(leaves(tables))]) or "keys are written as in guidance.rate_hz"
             raise BadInput(f"{where}: the settings have no key {key!r}; {hint}")
         put(tables, key.split("."), value_like(present, value, key, where))

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from typing import Any
 
+from companion.settings.capabilities import require_key
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.model import EXPERT, Settings
 from companion.settings.overrides import NOTHING, Value, key_and_text, leaf, leaves, nearest, plain, put, value_like
@@ -99,6 +100,7 @@ class Overridable:
         which, path = self._place(key)
         found = leaf(self._tables[which], path)
         if found is NOTHING:
+            require_key(".".join(path), f"{where}: {key}")
             known = [key for table in self._tables for key, _ in leaves(table)]
             hint = nearest(key.removeprefix(_FORCED), known) or "keys are written as in wind.speed_m_s or guidance.rate_hz"
             raise BadInput(f"{where}: neither scenario nor settings have a key {key!r}; {hint}")

@@ -140,6 +140,25 @@ def test_a_key_of_a_capability_that_is_not_installed_is_refused_in_a_settings_fi
         from_file(tomllib.loads(key), "rig.toml")
 
 
+_MISSING = "from drivers import extras\nextras.is_installed = lambda name: name != 'companion.parts.ship'\n"
+"""Takes the ship's wires away."""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "simulate demo --set vessel.nmea=127.0.0.1:10110",
+        "campaign demo --vary settings.vessel.nmea=a,b",
+        "run --config sim --check --set rtk.source=ship",
+    ],
+)
+def test_a_key_of_a_capability_that_is_not_installed_is_refused_at_the_command_line_too(command: str) -> None:
+    words = [sys.executable, "-c", _MISSING + _PLAIN, *command.split()]
+    done = subprocess.run(words, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)
+    needs = f"{words[-1].partition('=')[0]} needs the ship's wires, which is not installed: install the extra decklander[ship]"
+    assert (done.returncode, done.stderr) == (2, f"decklander: {words[-2]}: {needs}\n")
+
+
 @pytest.mark.parametrize("capability", [c for c in CAPABILITIES if c.keys], ids=lambda capability: capability.what)
 def test_settings_that_want_what_is_not_installed_are_refused_in_a_line_that_says_what_to_install(
     capability: Capability, monkeypatch: pytest.MonkeyPatch

@@ -12,9 +12,8 @@ from drivers.vehicle import AnsweringVehicle
 
 _NAVDATA_S = 1.5
 """Time in which an AR.Drone that is in reach answers, s."""
+_JOIN = "join the AR.Drone's Wi-Fi: no navdata comes from {}".format
 _HOST, _PORT = ArDroneOptions().host, ArDroneOptions().navdata_port
-_JOIN = "join the AR.Drone's Wi-Fi: no navdata comes from {host}"
-_SERVE = f"start the simulated drone: {shlex.quote(sys.executable)} -m sitl.emulators.ardrone.serve demo"
 
 
 def sends_navdata(host: str) -> bool:
@@ -35,7 +34,7 @@ VEHICLES = (
         "127.0.0.1",
         "sim",
         sends_navdata,
-        _SERVE,
+        lambda _: f"start the simulated drone: {shlex.quote(sys.executable)} -m sitl.emulators.ardrone.serve demo",
         simulated=True,
     ),
     AnsweringVehicle(

@@ -276,9 +276,9 @@ class FoxgloveEndpoint:
         offset_ns: the offset from the clock's instants to Unix time, ns.
     """
 
-    def __init__(self, server: HttpServer, pilot: Pilot, health: Health, clock: Clock, name: str, offset_ns: int) -> None:
-        settings = server.settings
-        assert isinstance(settings, LiveHttp)
+    def __init__(
+        self, server: HttpServer, settings: LiveHttp, pilot: Pilot, health: Health, clock: Clock, name: str, offset_ns: int
+    ) -> None:
         self._server = server
         self.clock = clock
         self.topics = topics(settings)
@@ -359,7 +359,8 @@ def join(service: Assembly) -> None:
     """Serve the flight to viewers on the HTTP port, if there is one."""
     if (server := service.server) is None:
         return
-    name, offset_ns = service.settings.vehicle.name, wall_offset_ns(service.clock)
-    data = FoxgloveEndpoint(server, service.pilot, service.health, service.clock, name, offset_ns)
+    settings, offset_ns = service.settings.of(LiveHttp), wall_offset_ns(service.clock)
+    name = service.settings.vehicle.name
+    data = FoxgloveEndpoint(server, settings, service.pilot, service.health, service.clock, name, offset_ns)
     service.observers.append(data.feed)
     service.extras["foxglove"] = data.run

@@ -24,6 +24,17 @@ _FISHEYE = {"equidistant", "fisheye", "kannala_brandt"}
 _SIZE = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "M1", "mtx", "intrinsics")
 _COEFFICIENTS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D", "d", "D1", "dist", "distortion_coeffs")
+_INI, _MARKUP, _YAML = "# oST", ("<", "{"), "%YAML"
+"""Beginnings of such files, and of none of ours; those whose names end as YAML's need none."""
+
+
+def is_foreign(text: str, path: str) -> bool:
+    """Return whether a text is one of these kinds, and none of our own."""
+    return _begin(text).startswith((_INI, *_MARKUP, _YAML)) or path.lower().endswith((".yaml", ".yml"))
+
+
+def _begin(text: str) -> str:
+    return text.lstrip("\ufeff \r\n\t")
 
 
 def foreign_camera(text: str, path: str) -> dict[str, Any]:
@@ -32,14 +43,14 @@ def foreign_camera(text: str, path: str) -> dict[str, Any]:
     Raises:
         BadInput: a part is lacking, or it is of a lens that our model does not fit.
     """
-    begin = text.lstrip("\ufeff \r\n\t")
-    if begin.startswith("# oST"):
+    begin = _begin(text)
+    if begin.startswith(_INI):
         raise BadInput(f"{path}: the INI form of ROS is not read: give the YAML file, which its calibrator writes beside it")
-    if begin.startswith(("<", "{")):
+    if begin.startswith(_MARKUP):
         return _mapping(_stored(path, begin), path)
     document = re.split(r"^---\s*$", begin, maxsplit=2, flags=re.MULTILINE)
     # A message that was printed ends with this line, and the next one may follow.
-    text = next((part for part in document if part.strip() and not part.startswith("%YAML")), "")
+    text = next((part for part in document if part.strip() and not part.startswith(_YAML)), "")
     return _mapping(_stored(path, "%YAML:1.0\n---\n" + re.sub(r"^- ", "  - ", text.lstrip("\r\n"), flags=re.MULTILINE)), path)
 
 

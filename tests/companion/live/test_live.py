@@ -50,8 +50,9 @@ class Service:
         pilot = make_pilot(whole, shadows=("median_mean",))
         clock = SystemClock()
         health = Health(clock)
-        self.server = HttpServer(LiveHttp(endpoint="http", page=False, **{"port": 0, **settings}), health)
-        self.endpoint = FoxgloveEndpoint(self.server, pilot, health, clock, "drone", 0)
+        own = LiveHttp(endpoint="http", page=False, **{"port": 0, **settings})
+        self.server = HttpServer(own, health)
+        self.endpoint = FoxgloveEndpoint(self.server, own, pilot, health, clock, "drone", 0)
         observers: list[Observer] = [self.endpoint.feed] if recorder is None else [recorder, self.endpoint.feed]
         self.flight = Flight(load_scenario("demo"), 1, whole, pilot, observers=observers)
 
