@@ -14,7 +14,7 @@ from companion.guidance.mission.another_pad import OtherPad
 from companion.guidance.mission.commit import Commit
 from companion.guidance.mission.gate import Gate, gate_of
 from companion.guidance.mission.machine import MISSIONS, PHASES, TABLES, account
-from companion.guidance.mission.progress import Attempt, GuidanceCycle, InputQuality, Progress, arrow_turned, entered
+from companion.guidance.mission.progress import NEAR_DECK_M, Attempt, GuidanceCycle, InputQuality, Progress, arrow_turned, entered
 from companion.guidance.mission.search import Search
 from companion.guidance.mission.wind import WindOverDrone
 from companion.settings.guidance import GuidanceOptions
@@ -354,6 +354,14 @@ def test_a_loss_of_sight_low_down_counts_and_height_lost_without_it_too() -> Non
     for state, lost_m in ((State.HOLD_BLIND, 0.25), (State.GO_AROUND, 0.0)):
         found = account(memory(state, in_sight=False, seen_height_m=1.25), cycle(sees()), OPTIONS)
         assert (found.attempt.blind_descent_m, found.in_sight, found.seen_height_m) == (lost_m, True, 1.0)
+
+
+def test_a_sweep_near_the_deck_counts_by_the_height_of_the_feet() -> None:
+    feet_m = OPTIONS.cone.feet_below_m
+    for height_m, sweeps in ((NEAR_DECK_M + feet_m - 0.01, 1), (NEAR_DECK_M + feet_m + 0.01, 0)):
+        p = account(memory(State.DESCEND), cycle(sees((0, 0, height_m))), OPTIONS)
+        p = entered(p, StateChange(ns(NOW), State.DESCEND, Event.OUT_OF_CONE, State.GO_AROUND, WHY))
+        assert (p.sweeps, p.attempt.sweeps) == (sweeps, sweeps)
 
 
 # What a state remembers

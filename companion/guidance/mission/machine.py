@@ -59,7 +59,7 @@ from companion.guidance.mission.held_course import HeldCourse
 from companion.guidance.mission.limits import of_try
 from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
-from companion.guidance.mission.progress import GuidanceCycle, Here, Progress, arrow_turned, entered, unfit
+from companion.guidance.mission.progress import NEAR_DECK_M, GuidanceCycle, Here, Progress, arrow_turned, entered, unfit
 from companion.guidance.mission.rules import Row
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover
@@ -229,9 +229,10 @@ def account(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     p = _in_wind(replace(p, attempt=p.attempt.cycle(since_last_s)), s)
     # A question leaves the sight of the pad that was flown to as it was.
     p = p if p.state is State.ANOTHER_PAD else _in_sight(p, s, o)
+    near_deck = p.seen_height_m + p.climbed_m - o.cone.feet_below_m < NEAR_DECK_M
     # A person chose the height at which it stays.
-    if p.state is not State.STAY and p.low(o.cone.feet_below_m):
-        p = replace(p, low_s=p.low_s + since_last_s)
+    low_s = p.low_s + since_last_s if near_deck and p.state is not State.STAY else p.low_s
+    p = replace(p, near_deck=near_deck, low_s=low_s)
     return phase_of(p.state, o).note(p, s, o)
 
 

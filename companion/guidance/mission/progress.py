@@ -365,6 +365,8 @@ class Progress(Struct, frozen=True, eq=False):
     """Time of the first sight of the pad since the landing was requested; None before it."""
     low_s: float = 0.0
     """Time near the deck since the landing was requested, s, all tries together."""
+    near_deck: bool = False
+    """True if the feet are lower than `NEAR_DECK_M`, by the newest sight and what it has climbed since."""
     sweeps: int = 0
     """Number of sweeps out of the cone near the deck since then."""
     go_arounds: int = 0
@@ -418,10 +420,6 @@ class Progress(Struct, frozen=True, eq=False):
     def lands_here(self) -> bool:
         """True while the vehicle lands where it is: nothing but a person, a pilot or a failsafe ends that."""
         return self.here is not None and self.state in CONTACT_INTENDED
-
-    def low(self, feet_below_m: float) -> bool:
-        """Return whether the feet are near the deck, by the newest sight and what it has climbed since."""
-        return self.seen_height_m + self.climbed_m - feet_below_m < NEAR_DECK_M
 
     def in_state_s(self, now: MonoNs) -> float:
         """Return the time since the state was entered, s; 0 before the first guidance cycle in it."""
@@ -487,7 +485,7 @@ def _after_event(p: Progress, change: StateChange) -> Progress:
             p = structs.replace(p, reckoned=None if felt else change.at, bounces=p.bounces + again)
         case Event.OTHER_PAD:
             p = structs.replace(p, fault=change.reason, questions=p.questions + 1, in_sight=False)
-        case Event.OUT_OF_CONE if change.source is State.DESCEND and p.seen_height_m < NEAR_DECK_M:
+        case Event.OUT_OF_CONE if change.source is State.DESCEND and p.near_deck:
             p = structs.replace(p, attempt=p.attempt.swept(), sweeps=p.sweeps + 1)
         case Event.NO_CONDITIONS:
             p = structs.replace(p, refusing=True)
