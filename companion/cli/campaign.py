@@ -155,17 +155,18 @@ def _set_plan(args: argparse.Namespace) -> tuple[plans.SetPlan, list[plans.Point
         chosen, scenarios = plans.set_of(names), {name: load_scenario(name) for name in names}
     else:
         chosen, scenarios = plans.load_set(args.scenario)
-    members, flown = {}, []
+    members, flown, replaced = {}, [], list[str]()
     for member in chosen.scenario:
         name = member.name
         level = chosen.level(member) if args.perception is None else args.perception
         with refused(f"{args.scenario}: {name}", BadInput):
             members[name], given = _plan_of(args, name, scenarios[name], level)
             flown.append(given.settings)
+            replaced += given.replaced
             perceive(members[name].perception, args.perception_model).refuse(scenarios[name].faults)
             if args.faults is not None:
                 members[name] = _with_random_faults(args, members[name], scenarios[name])
-    flight_options.warn(args, flown)
+    flight_options.warn(args, flown, replaced)
     base = () if chosen.base is None else ("--base", chosen.base)
     args.perception = None  # each flight says its own when it is to be flown again
     found = {} if args.more else {name: plans.place_of(args.scenario, name) for name in members}
@@ -221,7 +222,7 @@ def _design(
     twice = {axis.key for axis in axes} & {text.partition("=")[0] for text in args.set}
     refuse_any((twice, f"--set and --vary both give {', '.join(sorted(twice))}: take one out"))
     points = plans.factorial(axes)
-    flight_options.warn(args, [given.with_values(point, "--vary")[1] for point in points])
+    flight_options.warn(args, [given.with_values(point, "--vary")[1] for point in points], given.replaced)
     if args.faults is not None:
         return _with_random_faults(args, plan, given.scenario), points
     return (replace(plan, design=plans.described(_flown_as(args, "factorial"), axes)) if axes else plan), points

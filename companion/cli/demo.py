@@ -106,13 +106,14 @@ def run(args: argparse.Namespace) -> int:
     scenario = load_scenario(args.scenario)
     with more_time(_REPORT_S), tempfile.TemporaryDirectory(prefix="decklander-") as folder, ExitStack() as beside:
         drone: DemoVehicle
+        replaced: Sequence[str] = ()
         if args.autopilot is None:
             drone = imported(in_child)(args.scenario, scenario, args.seed, Path(folder) / "truth.jsonl", first=args.ardrone1)
         else:
-            drone = _miniature(args, scenario)
+            drone, replaced = _miniature(args, scenario)
         place = _place(args, drone.settings.http)
         beside.enter_context(drone.rendering())
-        return event_loop.run(_demo(args, drone, place, Path(folder)))
+        return event_loop.run(_demo(args, drone, replaced, place, Path(folder)))
 
 
 class DemoVehicle(Protocol):
@@ -147,8 +148,8 @@ class DemoVehicle(Protocol):
         ...
 
 
-def _miniature(args: argparse.Namespace, scenario: Scenario) -> DemoVehicle:
-    """Return the autopilot in miniature beside the settings of the command.
+def _miniature(args: argparse.Namespace, scenario: Scenario) -> tuple[DemoVehicle, Sequence[str]]:
+    """Return the autopilot in miniature beside the settings of the command, and their keys that the world replaced.
 
     Raises:
         BadInput: as `companion.cli.flight_options.chosen`, and as `Rehearsal`; or nobody is to take the vehicle off the pad.
@@ -163,10 +164,10 @@ def _miniature(args: argparse.Namespace, scenario: Scenario) -> DemoVehicle:
         world = Rehearsal(given.scenario, args.seed, given.settings, args.autopilot, station)
     if world.stands and args.page is None:
         raise BadInput(f"{args.scenario}: the vehicle stands on the pad: give --page, and order the take-off there")
-    return world
+    return world, given.replaced
 
 
-async def _demo(args: argparse.Namespace, drone: DemoVehicle, place: HttpSettings, folder: Path) -> int:
+async def _demo(args: argparse.Namespace, drone: DemoVehicle, replaced: Sequence[str], place: HttpSettings, folder: Path) -> int:
     clock, token, scenario = SystemClock(), make_token(), drone.scenario
     async with AsyncExitStack() as flying:
         with named_wait("starting the simulated vehicle"):
@@ -175,7 +176,7 @@ async def _demo(args: argparse.Namespace, drone: DemoVehicle, place: HttpSetting
         if args.video is not None:
             with refused("--video", ValueError):
                 settings = structs.replace(settings, video_stream=VideoStreamOptions(to=args.video))
-        own = (*vars(args).get("replaced", ()), *replaced_keys(drone.settings, settings))
+        own = (*replaced, *replaced_keys(drone.settings, settings))
         sys.stderr.write(flight_options.notice(args.config, own))
         pilot, health = make_pilot(settings, shadows=compared_paths()), Health(clock)
         began, facts = clock.now(), {"kind": "demo"}

@@ -60,16 +60,16 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(args: argparse.Namespace, scenario: Scenario, *, by_autopilot: bool = False) -> Overridable:
-    """Return scenario and settings as `--config` and `--set` have them; `warn` names what the world replaced.
+    """Return scenario and settings as `--config` and `--set` have them, with the keys that the world replaced.
 
     Raises:
         BadInput: as `sitl.scenario.settings.rig_for`, and as `Overridable.with_values`.
     """
     rig = rig_for(scenario, args.config, by_autopilot=by_autopilot)
-    args.replaced = dict.fromkeys((*vars(args).get("replaced", ()), *rig.replaced))
     own = args.config is not None
     given = Overridable(rig.scenario, rig.settings, own=own)
-    return Overridable(*given.with_values([given.parse(text, "--set") for text in args.set], "--set"), own=own)
+    overrides = [given.parse(text, "--set") for text in args.set]
+    return Overridable(*given.with_values(overrides, "--set"), own=own, replaced=rig.replaced)
 
 
 def notice(config: str | None, replaced: Iterable[str]) -> str:
@@ -101,9 +101,9 @@ def choose_vehicle(args: argparse.Namespace) -> None:
         args.autopilot = args.autopilot or "arducopter"
 
 
-def warn(args: argparse.Namespace, points: list[Settings], place: str = "a simulated flight") -> None:
+def warn(args: argparse.Namespace, points: list[Settings], replaced: Iterable[str], place: str = "a simulated flight") -> None:
     """Name on standard error what the world replaced, and what was given and cannot act in a flight by these settings."""
-    sys.stderr.write(notice(args.config, args.replaced))
+    sys.stderr.write(notice(args.config, replaced))
     blind, truth = args.perception in ("model", "truth"), args.perception == "truth"
     places = {place: True, "a flight without frames, as by --perception model": blind, "a flight by --perception truth": truth}
     warn_of_idle(points, [*args.set, *vars(args).get("vary", ())], places)

@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     beside = args.autopilot is not None
     given = flight_options.chosen(args, load_scenario(args.scenario, args.base), by_autopilot=beside)
     scenario, settings = given.scenario, given.settings
-    flight_options.warn(args, [settings], "a flight with an autopilot" if beside else "a simulated flight")
+    flight_options.warn(args, [settings], given.replaced, "a flight with an autopilot" if beside else "a simulated flight")
     if args.faults is not None:
         scenario = with_random_faults(scenario, args.seed, perception, autopilot=beside)
     if beside:
@@ -197,7 +197,7 @@ def run_follow(args: argparse.Namespace) -> int:
         kinds = ", ".join(dict.fromkeys(fault.kind for fault in scenario.faults))
         raise BadInput(f"{args.scenario}: its faults ({kinds}) cannot act with --follow")
     given = flight_options.chosen(args, scenario, by_autopilot=True)
-    flight_options.warn(args, [given.settings], "a flight with an autopilot")
+    flight_options.warn(args, [given.settings], given.replaced, "a flight with an autopilot")
     with shown(quiet=args.json) as observers:
         end = event_loop.run(follow(given.scenario, args.seed, given.settings, args.follow, observers))
     contacts = () if end.landing is None else (end.landing,)

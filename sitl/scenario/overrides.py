@@ -33,10 +33,11 @@ class Overridable:
 
     Args:
         own: whether the settings are a person's own, which follow by `in_world` there.
+        replaced: keys of them that have another value in the world.
     """
 
-    def __init__(self, scenario: Scenario, settings: Settings, *, own: bool = False) -> None:
-        self.scenario, self.settings = scenario, settings
+    def __init__(self, scenario: Scenario, settings: Settings, *, own: bool = False, replaced: Sequence[str] = ()) -> None:
+        self.scenario, self.settings, self.replaced = scenario, settings, replaced
         self._follow = in_world if own else following
         self._tables: tuple[dict[str, Any], dict[str, Any]] = (plain(scenario), plain(settings))
 

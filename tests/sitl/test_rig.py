@@ -55,10 +55,10 @@ def test_a_world_takes_a_rig_s_camera_and_pad_and_replaces_only_what_it_names(fi
 
 def test_the_replaced_keys_are_named_in_one_line(file: str) -> None:
     args = argparse.Namespace(config=file, set=[])
-    flight_options.chosen(args, load("demo"), by_autopilot=True)
-    line = flight_options.notice(args.config, args.replaced)
+    replaced = flight_options.chosen(args, load("demo"), by_autopilot=True).replaced
+    line = flight_options.notice(args.config, replaced)
     assert line.startswith(f"decklander: {file}: replaced by the simulation: vehicle.links, ")
-    assert (line.count("\n"), flight_options.notice(None, args.replaced)) == (1, "")
+    assert (line.count("\n"), flight_options.notice(None, replaced)) == (1, "")
 
 
 @pytest.mark.parametrize("by_autopilot", [True, False])
