@@ -35,8 +35,8 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
         "estimator/vision/learned/", "sitl/core/training/", "study/gym/",
     ),
     "thesis": (
-        "companion/cli/experiments.py", "companion/guidance/law/pid.py", "companion/guidance/thesis.py",
-        "estimator/constant_velocity.py", "estimator/dead_reckoning.py", "estimator/vision/thesis/", "study/experiments/",
+        "companion/cli/experiments.py", "companion/guidance/thesis.py", "estimator/constant_velocity.py",
+        "estimator/dead_reckoning.py", "estimator/vision/thesis/", "estimator/vision/track/by_thesis.py", "study/experiments/",
     ),
 }  # fmt: skip
 """Beginnings of the paths of what flies and of each capability; the longest one that fits has the file."""

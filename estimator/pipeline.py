@@ -75,7 +75,7 @@ class RelativeEstimator:
         guard: what checks events before they reach any path. It is immutable: each event makes another one.
 
     Raises:
-        BadInput: a path needs a library that is not installed.
+        BadInput: a path, or a library that it needs, is not installed.
     """
 
     def __init__(
@@ -446,19 +446,17 @@ def _path(name: PathName, options: EstimatorOptions) -> Path:
         return EkfPath(options.ekf)
     if name not in _COMPARED:
         raise ValueError(f"no such estimator path: {name}")
-    if name == "constant_velocity":
-        require_filterpy(f"the path {name}")
+    if missing := lacks(name):
+        raise BadInput(
+            f"the path {name} needs {missing}, which is not installed: install requirements/compare.txt, or the extra "
+            "decklander[compare]"
+        )
     made: Path = imported(_COMPARED[name])(options)
     return made
 
 
-def require_filterpy(wanted: str) -> None:
-    """Refuse what is wanted where filterpy is not installed.
-
-    Raises:
-        BadInput: it is not; the message says how to install it.
-    """
-    if find_spec("filterpy") is None:
-        raise BadInput(
-            f"{wanted} needs filterpy, which is not installed: install requirements/compare.txt, or the extra decklander[compare]"
-        )
+def lacks(name: PathName) -> str:
+    """Return the module that a path needs and that is not installed; empty if it can run."""
+    own = _COMPARED.get(name, "estimator.paths").partition(":")[0]
+    needed = ("filterpy", own) if name == "constant_velocity" else (own,)
+    return next((module for module in needed if find_spec(module) is None), "")

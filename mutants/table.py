@@ -85,7 +85,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "companion/guidance/mission/hold_blind.py": (*_MISSION, *_AIM),
     "companion/guidance/mission/go_around.py": (*_MISSION, *_AIM),
     "companion/guidance/mission/another_pad.py": _MISSION,
-    "companion/guidance/thesis.py": _MISSION,
+    "companion/guidance/thesis.py": (*_MISSION, "tests/companion/test_thesis_mission.py"),
     "companion/guidance/mission/waiting.py": (*_MISSION, *_AIM),
     "companion/guidance/mission/phase.py": (*_AIM, *_MISSION),
     "companion/guidance/mission/limits.py": ("tests/companion/test_limits.py", *_MISSION),

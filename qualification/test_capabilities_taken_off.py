@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 REMOVABLE = (
     "AR.Drone",
     "MQTT and watch", "ROS 2", "Foxglove", "gamepad", "ship's wires", "imports of others' files", "pads from pictures, printing",
-    "campaigns and studies", "learned parts",
+    "campaigns and studies", "learned parts", "thesis",
 )  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 TESTS = {
@@ -28,10 +28,16 @@ TESTS = {
         "tests/companion/doctor/test_rules.py",
         "tests/companion/page/test_tools.py",
     ),
+    "thesis": ("tests/companion/test_thesis_mission.py", "tests/estimator/vision/test_tracker.py"),
 }
 """Tests by a capability's command or keys of the settings, which import nothing of it."""
 RIGS = {"AR.Drone": r'(?:load|settings)\w*\("(?:sim|ardrone\d)"|rig_for\(.*"ardrone1"|kind"?(?:: | = |=)"ardrone"'}
 """Text of tests that stand on a capability's own rig: the profiles `sim`, `ardrone1` and `ardrone2` are an AR.Drone's."""
+WANTED = {
+    "learned parts": ("guidance.controller=policy", "vision.learned=second_opinion"),
+    "thesis": ("guidance.mission=thesis", "estimator.path=dead_reckoning", "vision.method=fused"),
+}
+"""Settings of a flight that want a capability."""
 CONFTEST = "tests/conftest.py"
 """Imports in the bodies of its fixtures alone, so that it stays; tests that use a fixture that imports what is gone go."""
 BUILT = ("estimator/core", "sitl/core")
@@ -111,15 +117,24 @@ def tree(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def ran_in(folder: Path, *arguments: str, code: int = 0) -> str:
+    """Return what Python prints in a tree; of a refusal what stands on stderr."""
     environment = {**os.environ, "PYTHONPATH": str(folder)}
     done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout[-4000:] + done.stderr[-4000:]
-    return done.stdout
+    return done.stderr if code else done.stdout
 
 
 def test_the_rest_imports_and_passes_its_fast_tests(tree: Path) -> None:
     ran_in(tree, "-c", _IMPORT_ALL)
     ran_in(tree, "-m", "pytest", "-q", "-x", "-n", "2", "-m", "not slow")
+
+
+def test_a_setting_that_wants_it_is_refused_in_one_line(tree: Path, request: pytest.FixtureRequest) -> None:
+    line = r"decklander: .* needs .*, which (is|are) not installed: install .*the extra decklander\[\w+\]\n"
+    for word in WANTED.get(request.node.callspec.params["tree"], ()):
+        flight = ("simulate", "calm", "--perception", "model", "--set", word)
+        told = ran_in(tree, "-m", "companion.cli.main", *flight, code=2)
+        assert re.fullmatch(line, told), told
 
 
 def test_a_drone_lands_without_it(tree: Path) -> None:

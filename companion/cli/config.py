@@ -161,9 +161,8 @@ last known, time, or a contact felt in the last 20 s. Before the first order to 
 
 def mission_page() -> str:
     """Return docs/mission.md."""
-    return "\n".join(
-        (_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *_other("thesis"), *_other("targets"))
-    )
+    others = (line for name in TABLES if name != "cone" for line in _other(name))
+    return "\n".join((_HEAD, *_graph(), *_states(), *_events(), *_causes(), *_table("cone"), *others))
 
 
 def _graph() -> Iterator[str]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from companion.cli.options import named_wait, option, tell_damage
 from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
-from companion.settings.capabilities import ReadOpinion, offered
+from companion.settings.capabilities import ReadOpinion, offered, require_key
 from companion.settings.load import SHIPPED, find_file, mount_assumed, pad_of_file, read_camera
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
@@ -43,7 +43,6 @@ from estimator.vision.camera.camera import Camera
 from estimator.vision.detection import Detection
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad.pad import Pad
-from estimator.vision.thesis.segmentation import COLOUR_SETS
 from estimator.vision.track.config import FRAME_WORK, SecondOpinion, TrackerConfig
 from estimator.vision.track.memory import TrackerMemory
 from estimator.vision.track.tracker import track
@@ -122,7 +121,7 @@ def add_arguments(p: argparse.ArgumentParser) -> None:
         p,
         "--colours",
         "colour limits of the thesis' methods; auto takes the most confident ones for each frame (default: %(default)s)",
-        choices=["auto", *COLOUR_SETS],
+        choices=["auto", *get_args(ColourSetName)],
         default="auto",
     )
     option(
@@ -154,6 +153,7 @@ def run(args: argparse.Namespace) -> int:
         lines = mount_assumed(find_file(args.camera, "cameras", Path(), "--camera"))
         sys.stderr.writelines(f"decklander: {line}\n" for line in lines)
     tilts = _attitudes(_found(args.attitude), files) if args.attitude is not None else {}
+    require_key(f"vision.method={args.method}", f"--method {args.method}")
     options = _options(args.method, args.colours)
     opinion: SecondOpinion | None = None
     if args.second_opinion is not None:

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, get_args
@@ -31,6 +30,7 @@ from companion.settings.model import Settings
 from companion.settings.service import FrameForm
 from estimator.contracts.estimates import PathName
 from estimator.contracts.time import MonoNs, seconds_between
+from estimator.pipeline import lacks
 
 if TYPE_CHECKING:
     from companion.parts.recorder.recorder import Recorder
@@ -69,7 +69,8 @@ class HeldBack(Relay):
 
 def compared_paths() -> tuple[PathName, ...]:
     """Return the estimator paths that run beside the steering one, for the comparison in the report."""
-    return ("median_mean", "constant_velocity") if find_spec("filterpy") else ("median_mean",)
+    compared: tuple[PathName, ...] = ("median_mean", "constant_velocity")
+    return tuple(path for path in compared if not lacks(path))
 
 
 @dataclass(slots=True)

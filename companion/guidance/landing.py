@@ -25,7 +25,7 @@ from companion.guidance.mission.gate import gate_of
 from companion.guidance.mission.held_course import OFF_M, ClimbWatch
 from companion.guidance.mission.held_up import HeldUp
 from companion.guidance.mission.hold_blind import keep_up
-from companion.guidance.mission.machine import allowed, mission_step, take, take_order, take_status
+from companion.guidance.mission.machine import allowed, mission_step, require_mission, take, take_order, take_status
 from companion.guidance.mission.out_of_reach import flown_by_others
 from companion.guidance.mission.progress import (
     HELD_BY_PERSON,
@@ -177,9 +177,14 @@ class _Flight(Struct):
 
 
 class LandingGuidance:
-    """Decides on commands by samples and estimates."""
+    """Decides on commands by samples and estimates.
+
+    Raises:
+        BadInput: the settings want a mission or a controller that is not installed.
+    """
 
     def __init__(self, guidance: GuidanceOptions, options: PilotOptions) -> None:
+        require_mission(guidance)
         self._guidance = guidance
         self.mission = Progress.start(automatic=options.automatic)
         self._make_law = options.law
@@ -328,7 +333,11 @@ class LandingGuidance:
         """Use other settings from now on; the present approach continues.
 
         The law keeps its memory: what it knows of wind and trim does not depend on its options.
+
+        Raises:
+            BadInput: the settings want a mission or a controller that is not installed; nothing changed.
         """
+        require_mission(guidance)
         if guidance != self._guidance:
             before, self._law = self._law, self._make_law(guidance)
             if type(before) is not type(self._law):

@@ -22,9 +22,6 @@ from estimator.contracts.tables import imported
 if TYPE_CHECKING:  # the command line's help needs the table and no settings
     from importlib.metadata import EntryPoint
 
-    from msgspec import Struct
-
-    from companion.settings.part_table import PartTable
     from drivers.importer import Importer
     from drivers.vehicle import AnsweringVehicle, VehicleOptions
     from estimator.vision.track.config import SecondOpinion
@@ -103,6 +100,8 @@ class Capability(NamedTuple):
     """Controllers by the word of `guidance.controller`, each a function of a `ControllerSetup` as module:object."""
     opinions: Mapping[str, str] = _NONE
     """Second opinions of vision by the word of `vision.learned`: each a `ReadOpinion` as module:object."""
+    missions: Mapping[str, str] = _NONE
+    """Missions by the word of `guidance.mission`, each a function of the phases of the mission "cone" as module:object."""
     histories: Mapping[str, str] = _NONE
     """Functions that read an `AutopilotLog` for `doctor`, by the kind of file, as module:object."""
 
@@ -225,9 +224,17 @@ CAPABILITIES = (
         commands={"train": Command("study", "companion.cli.train", "train a controller in the simulated sea")},
     ),
     Capability(
-        "the thesis' experiments",
+        "the thesis",
         "compare",
         "study.experiments",
+        keys=(
+            "guidance.mission=thesis",
+            "vision.method=thesis",
+            "vision.method=fused",
+            "estimator.path=dead_reckoning",
+            "estimator.path=constant_velocity",
+        ),
+        missions={"thesis": "companion.guidance.thesis:phases"},
         commands={"experiments": Command("study", "companion.cli.experiments", "fly the thesis' experiments again")},
     ),
     Capability(
@@ -278,16 +285,10 @@ def offered(field: str, name: str, wanted: str) -> Any:
     return imported(getattr(capability, field)[name])
 
 
-def part_tables() -> dict[str, type[PartTable]]:
-    """Return the tables of the capabilities that are installed, by name."""
+def of_installed(field: str) -> dict[str, Any]:
+    """Return what one of the mappings of the capabilities that are installed holds (such as `tables`), by name."""
     installed = (capability for capability in CAPABILITIES if is_installed(capability.module))
-    return {name: imported(table) for capability in installed for name, table in capability.tables.items()}
-
-
-def extended_tables() -> dict[str, type[Struct]]:
-    """Return the tables of ours with the keys of the capabilities that are installed, by name."""
-    installed = (capability for capability in CAPABILITIES if is_installed(capability.module))
-    return {name: imported(table) for capability in installed for name, table in capability.extended.items()}
+    return {name: imported(found) for capability in installed for name, found in getattr(capability, field).items()}
 
 
 def refuse_missing(tables: Mapping[str, Any]) -> None:

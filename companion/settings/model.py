@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, Un
 
 from msgspec import Meta, Struct, defstruct
 
-from companion.settings.capabilities import extended_tables, part_tables, refuse_missing, vehicle_tables
+from companion.settings.capabilities import of_installed, refuse_missing, vehicle_tables
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.links import HttpSettings, OutputOptions, VideoStreamOptions
 from companion.settings.operator import LimitOptions, OperatorOptions
@@ -145,7 +145,7 @@ if TYPE_CHECKING:
 else:
     Settings = defstruct(
         "Settings",
-        [(name, table, table()) for name, table in {**part_tables(), **extended_tables()}.items()],
+        [(name, table, table()) for name, table in (of_installed("tables") | of_installed("extended")).items()],
         bases=(CommonSettings,),
         namespace={"__doc__": "All settings. `companion.settings.load.load` reads them from a file."},
         module=__name__,

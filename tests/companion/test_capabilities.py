@@ -15,11 +15,13 @@ from msgspec import structs
 
 from companion.cli.commands import OWNERS
 from companion.cli.main import main
+from companion.guidance.pilot import make_pilot
 from companion.recording.reading import open_recording
 from companion.settings import capabilities, schema
 from companion.settings.capabilities import CAPABILITIES, VEHICLES, Capability, VehicleKind, vehicle_kind
 from companion.settings.load import from_file, from_mapping, load
 from companion.settings.model import Settings
+from companion.settings.overrides import with_overrides
 from companion.settings.referenced_files import check_installed
 from drivers import extras
 from drivers.importer import ForeignFile
@@ -176,6 +178,17 @@ def test_settings_that_want_what_is_not_installed_are_refused_in_a_line_that_say
             monkeypatch.setattr(module, "is_installed", lambda name, missing=missing: name != missing and found(name))
         with pytest.raises(BadInput, match=rf"^{key} needs .* install the extra decklander\[{capability.extra}\]$"):
             check_installed(wanting)
+
+
+@pytest.mark.parametrize("word", ["guidance.mission=thesis", "vision.method=fused", "estimator.path=dead_reckoning"])
+def test_a_flight_that_wants_the_thesis_is_refused_without_it(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanting = with_overrides(SIM, [word], "--set")
+    make_pilot(wanting)
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != "study.experiments")
+    for module in ("estimator.pipeline", "estimator.vision.track.config"):
+        monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=rf"{word.partition('=')[2]}\W*needs .* the extra decklander\[compare\]$"):
+        make_pilot(wanting)
 
 
 def test_a_vehicle_that_is_not_installed_is_refused_likewise(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """A service that comes back in the air reads what the one before it knew of the flight."""
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,20 @@ from companion.base.mission import CONTACT_INTENDED, FLOWN, State
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.pilot import Pilot
 from companion.service.flight_keeper import FlightKeeper, keeper_of
+from companion.settings.guidance import GuidanceOptions
 from drivers.vehicle import VehicleOptions
 from estimator.contracts.commands import Hover, Velocity
 from tests.companion.test_safety import Loop
 from tests.make import ns
 from tests.support.waiting import until
 
+service = partial(Loop, "ekf", GuidanceOptions(controller="pid"))
+"""Makes a service with the usual estimator and mission."""
+
 
 def back(before: FlightMemory | None, *, automatic: bool = True, flying: bool = True, hold: bool = False) -> Loop:
     """Return a new service, 2 s after that record, in its first cycle without sight; an order to hold may come before."""
-    loop = Loop(automatic=automatic, flying=flying)
+    loop = service(automatic=automatic, flying=flying)
     loop.pilot.landing.before, loop.now = before, ns(102.0)
     if hold:
         loop.pilot.hold()
@@ -110,7 +115,7 @@ class Vehicle(VehicleOptions, frozen=True):
 
 
 async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_the_next_service(tmp_path: Path) -> None:
-    path, first, first_one = tmp_path / "flight", Loop(), Vehicle("the first one")
+    path, first, first_one = tmp_path / "flight", service(), Vehicle("the first one")
     keeper = FlightKeeper(path, first.pilot, first_one, "boot")
     texts = set()
     for _ in range(100):
@@ -120,7 +125,7 @@ async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_
         texts.add(path.read_bytes())
     assert 2 <= len(texts) < 20
     for vehicle, boot, used in ((first_one, "boot", True), (Vehicle("another"), "boot", False), (first_one, "b", False)):
-        second: Pilot = Loop().pilot
+        second: Pilot = service().pilot
         FlightKeeper(path, second, vehicle, boot)
         assert (second.landing.before is not None) is used
         assert second.landing.before is None or second.landing.before.modes == ("hovering", "brake")
@@ -134,7 +139,7 @@ async def test_the_file_is_replaced_each_half_second_and_at_changes_and_read_by_
 )  # fmt: skip
 def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "flight").write_bytes(text)
-    pilot = Loop().pilot
+    pilot = service().pilot
     with caplog.at_level(logging.ERROR):
         FlightKeeper(tmp_path / "flight", pilot, Vehicle("v"), "b")
     assert pilot.landing.before is None
@@ -142,7 +147,7 @@ def test_a_file_with_a_fault_is_named_and_not_used(text: bytes, tmp_path: Path, 
 
 
 async def test_a_folder_that_cannot_be_written_is_named_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    loop = Loop()
+    loop = service()
     keeper = keeper_of(loop.pilot, Vehicle("v"), {"STATE_DIRECTORY": str(tmp_path / "absent")})
     for _ in range(60):
         loop.tick()

@@ -454,34 +454,3 @@ def test_by_itself_it_begins_again_once_a_flight_from_above_and_after_a_steady_s
     assert (first(p, s, o) == (Event.BEGIN, Reason(ReasonCause.AUTOMATIC))) is begins
     assert first(p, s) is None, "the operator decides"
     assert first(account(p, cycle(sees((0.0, 0.0, height_m), track=6)), o), s, o) is None, "another track is another pad"
-
-
-# The ship, and the thesis' way points
-
-
-@pytest.mark.parametrize(
-    ("state", "d", "event"),
-    [
-        (State.INTERCEPT, (0.1, 0.2, 2.1), Event.IN_CONE), (State.INTERCEPT, (0.1, 0.3, 2.1), None),
-        (State.DESCEND, (0.1, 0.0, 0.35), Event.AT_GATE), (State.DESCEND, (0.1, 0.13, 0.35), None),
-        (State.GATE, (0.1, 0.23, 0.3), None), (State.GATE, (0.1, 0.25, 0.3), Event.OUT_OF_CONE),
-    ],
-)  # fmt: skip
-def test_the_way_points_of_the_thesis(state: State, d: tuple[float, float, float], event: Event | None) -> None:
-    o = guided("thesis", thesis={"pad_ahead_m": 0.1})
-    found = first(memory(state), cycle(sees(d)), o)
-    assert (None if found is None else found[0]) is event
-
-
-@pytest.mark.parametrize(
-    ("d", "v", "cause"),
-    [
-        ((0.1, 0.0, 0.3), (0.0, 0.0, 0.0), None), ((0.3, 0.1, 0.3), (0.0, 0.0, 0.0), ReasonCause.ERROR),
-        ((0.1, 0.0, 0.43), (0.0, 0.0, 0.0), ReasonCause.ERROR), ((0.1, 0.0, 0.3), (0.21, 0.0, 0.0), ReasonCause.ERROR_AHEAD),
-        ((0.1, 0.05, 0.3), (0.15, -0.1, 0.0), None),
-    ],
-)  # fmt: skip
-def test_the_thesis_gate_opens_over_the_last_way_point_now_and_at_the_touchdown(d, v, cause):
-    o = guided("thesis", thesis={"pad_ahead_m": 0.1})
-    blocked = gate_of(account(memory(State.GATE), cycle(sees(d, v=v)), o)).blocked
-    assert (None if blocked is None else blocked.cause) is cause

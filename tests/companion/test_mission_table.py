@@ -1,14 +1,12 @@
 """Every pair of state and event: where it leads, where none may lead, and the advice to a person about each cause."""
 
 from itertools import product
-from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from companion.base.mission import DESCENDS, ENDED, FAULTS, FLOWN, GROUND, Event, Reason, ReasonCause, State, StateChange
 from companion.base.observer import Decision
-from companion.cli.config import mission_page
 from companion.facts import encode
 from companion.guidance.advice import advice
 from companion.guidance.controller import Knowledge
@@ -126,13 +124,6 @@ def test_a_table_with_a_gap_or_an_idle_line_is_refused() -> None:
         total(rows, Event)
     with pytest.raises(ValueError, match="no row"):
         total({State.WAIT: {}}, Event)
-
-
-def test_the_page_is_what_the_table_says() -> None:
-    printed = (Path(__file__).parents[2] / "docs" / "mission.md").read_text(encoding="utf-8")
-    assert printed == mission_page(), "run: decklander config mission > docs/mission.md"
-    for state in State:
-        assert f"| {state.value} |" in printed
 
 
 # Effects of the vehicle's report and of one guidance cycle

@@ -68,8 +68,7 @@ class SeeingPilot(Pilot):
     """Sees the pad where the fake vehicle knows it to be."""
 
     def __init__(self, vehicle: FakeFlight) -> None:
-        options = EstimatorOptions(path="dead_reckoning")
-        super().__init__(EYES, options, GuidanceOptions())
+        super().__init__(EYES, EstimatorOptions(), GuidanceOptions())
         self._truth = vehicle
 
     def detect(self, look: Look) -> Detection:

@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 from msgspec import NODEFAULT, inspect
 
+from companion.base.mission import State
 from companion.cli.commands import COMMANDS
+from companion.cli.config import mission_page
 from companion.cli.fly import KEYS, MOTIONS, ORDERS, TWICE
 from companion.guidance.operator import order_time, precedence
 from companion.parts.mqtt.messages import PUBLISHED
@@ -319,3 +321,10 @@ def test_commands_and_options_in_the_text_exist() -> None:
         known = everywhere if of_command is None or len(words) == 1 else of_command | {"--help"}
         wrong += [f"{page}: {text}: {w}" for w in words if re.match(r"--[a-z]", w) and w.split("=")[0].rstrip(",;") not in known]
     assert wrong == []
+
+
+def test_the_page_of_the_mission_is_what_its_table_says() -> None:
+    printed = (DOCS / "mission.md").read_text(encoding="utf-8")
+    assert printed == mission_page(), "run: decklander config mission > docs/mission.md"
+    for state in State:
+        assert f"| {state.value} |" in printed

@@ -127,7 +127,7 @@ def test_a_change_of_frame_begins_again_and_the_next_report_is_awaited_only_whil
     assert [h.reports(stamp(t)) for h, t in ((history, 1.2), (history, 1.5), (GimbalHistory(), 1.0))] == [True, False, False]
 
 
-@pytest.mark.parametrize("shadows", [(), ("dead_reckoning",)])
+@pytest.mark.parametrize("shadows", [(), ("median_mean",)])
 def test_the_estimator_keeps_the_reports_with_one_path_and_with_several(shadows: tuple[PathName, ...]) -> None:
     memory = RelativeEstimator(EstimatorOptions(), shadows)
     memory.put([attitude(1.0, *RPY), pointing(1.0), attitude(1.1, *RPY), pointing(1.1)])

@@ -174,8 +174,8 @@ def test_the_tracker_hands_on_its_options_and_counts_no_find_below_its_confidenc
     assert config.options == TrackerOptions("registration", "indoor", math.degrees(SIGMA_DECK_RAD))
     assert (frame.seq, frame.stamp) == (0, Stamp(MonoNs(0), MonoNs(0), 0.0, "arrival"))
     monkeypatch.setattr("estimator.vision.track.tracker.track", found)
-    PadTracker(CAMERA, PAD, method="thesis", colours="outdoor", sigma_deck_rad=0.1).track(image)
-    assert given[-1][0].options == TrackerOptions("thesis", "outdoor", math.degrees(0.1))
+    PadTracker(CAMERA, PAD, colours="outdoor", sigma_deck_rad=0.1).track(image)
+    assert given[-1][0].options == TrackerOptions("registration", "outdoor", math.degrees(0.1))
 
 
 def test_the_estimator_carries_the_pad_on_between_sightings() -> None:

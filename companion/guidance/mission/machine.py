@@ -4,8 +4,8 @@
 over it and DESCEND down the cone (`descend`), or STAY waits there by a person's order (`stay`). GATE follows the deck until every
 limit holds (`gate`). COMMIT goes down to the deck (`commit`), PRESS and DOWN keep it there and stop the motors (`press`).
 HOLD_BLIND waits for a lost sight (`hold_blind`), GO_AROUND climbs to begin again (`go_around`), ANOTHER_PAD asks
-(`another_pad`). LAND_HERE lands where the drone is (`land_here`). In all others no landing is flown (`waiting`). `thesis` and
-`targets` have what differs in their missions.
+(`another_pad`). LAND_HERE lands where the drone is (`land_here`). In all others no landing is flown (`waiting`). `targets` and
+the capabilities' missions have what differs in theirs.
 
 **A file is a state.** It says what the state watches and where each event leads, what it aims at, its time budget, its
 constants, and the memory that only it needs (`Progress.kept`, empty on entry). What several states watch or fly is in `rules`
@@ -38,7 +38,7 @@ from types import MappingProxyType
 from msgspec.structs import replace
 
 from companion.base.mission import ENDED, FLOWN, GROUND, ORDERED, Event, Reason, ReasonCause, State, StateChange
-from companion.guidance import targets, thesis
+from companion.guidance import targets
 from companion.guidance.controller import Target
 from companion.guidance.mission import (
     another_pad,
@@ -61,6 +61,7 @@ from companion.guidance.mission.out_of_reach import NEAR_SAFE_M
 from companion.guidance.mission.phase import Aim, Aimed, Phase
 from companion.guidance.mission.progress import NEAR_DECK_M, GuidanceCycle, Here, Progress, arrow_turned, entered, unfit
 from companion.guidance.mission.rules import Row
+from companion.settings.capabilities import of_installed, require_key
 from companion.settings.guidance import GuidanceOptions
 from estimator.contracts.commands import Command, Hover
 from estimator.contracts.estimates import RelativeState
@@ -70,7 +71,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 _STATES = (waiting, search, descend, stay, gate, commit, press, hold_blind, go_around, another_pad, land_here)
 PHASES: Mapping[State, Phase] = {state: phase for file in _STATES for state, phase in file.PHASES.items()}
-MISSIONS = MappingProxyType({"cone": PHASES, "thesis": thesis.phases(PHASES), "targets": targets.phases(PHASES)})
+_OFFERED = {name: phases(PHASES) for name, phases in of_installed("missions").items()}
+MISSIONS: Mapping[str, Mapping[State, Phase]] = MappingProxyType({"cone": PHASES, **_OFFERED, "targets": targets.phases(PHASES)})
 TABLES: Mapping[str, Mapping[State, Row]] = MappingProxyType(
     {name: total({state: phase.ways for state, phase in phases.items()}, Event) for name, phases in MISSIONS.items()}
 )
@@ -87,6 +89,15 @@ _FASTEST_M_S = 1.0
 """Vertical speed of a vehicle whose law does not say, m/s."""
 _LEAN_SETTLES_S = 10.0
 """Time after the flight to the ship until the mean lean is the wind's alone: twice the time of the mean."""
+
+
+def require_mission(o: GuidanceOptions) -> None:
+    """Refuse a mission whose capability is not installed.
+
+    Raises:
+        BadInput: it is not; the message says what to install.
+    """
+    require_key(f"guidance.mission={o.mission}", f'guidance.mission = "{o.mission}"')
 
 
 def phase_of(state: State, o: GuidanceOptions) -> Phase:

@@ -8,7 +8,6 @@ import hashlib
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import get_args
 
@@ -34,6 +33,7 @@ from estimator.contracts.errors import BadInput
 from estimator.contracts.estimates import PathName, Sighting
 from estimator.contracts.samples import Frame, Sample, VehicleStatus
 from estimator.contracts.time import MonoNs, Stamp, after, seconds_between
+from estimator.pipeline import lacks
 from estimator.vision.detection import Detection
 
 OWN = CAMERA, PAD
@@ -226,7 +226,7 @@ class Replay:
     def _decide(self, at: MonoNs) -> None:
         decision = self._cycle.decide(at)
         self.counts.decisions += 1
-        # Without the path of the extra `compare`: the hash must not depend on what is installed.
+        # Without the path that needs a library: the hash must not depend on other packages.
         shadows = (shadow for shadow in decision.shadows if shadow.path != "constant_velocity")
         for belief in (decision.belief, *shadows):
             if belief is not None:
@@ -242,8 +242,8 @@ def _black(recorded: RecordedFrame) -> Frame:
 
 
 def available_paths() -> tuple[PathName, ...]:
-    """Return the paths that the estimator can run: all but the one that needs a library that is not installed."""
-    return tuple(path for path in get_args(PathName) if path != "constant_velocity" or find_spec("filterpy"))
+    """Return the paths that the estimator can run: all but those that are not installed, or lack a library."""
+    return tuple(path for path in get_args(PathName) if not lacks(path))
 
 
 def settings_of(recording: Recording, config: str | None) -> Settings:

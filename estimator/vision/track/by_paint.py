@@ -25,14 +25,12 @@ from estimator.vision.detect.acquire import FRESH_SEARCH, SearchMemory
 from estimator.vision.detect.template import fade
 from estimator.vision.detection import Detection, PadCheck, covered, fuse
 from estimator.vision.pad.information import alike_headings
-from estimator.vision.track.config import TrackerConfig
+from estimator.vision.track.config import THESIS, TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace
 from estimator.vision.track.memory import Now, Registered, Seen, TrackerMemory
 from estimator.vision.track.read_deck import shows_deck
 from estimator.vision.track.register import register
 
-THESIS = "estimator.vision.track.by_thesis"
-"""The module of the thesis' methods, loaded where the settings want them."""
 _NEAR_DRAWN_M = 0.4  # Width of the outline of something about the pad, whose own is not known
 _SQUARE = 0.5 * np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])  # An outline of one metre
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
+from estimator.contracts.errors import BadInput
 from estimator.integrity.options import IntegrityOptions
 from estimator.vision.camera.camera import Camera
 from estimator.vision.options import TrackerOptions
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from estimator.vision.camera.rolling import CameraMotion
     from estimator.vision.detect.pyramid import Pyramid
 
+THESIS = "estimator.vision.track.by_thesis"
+"""The module of the thesis' methods, which can be taken off; loaded where the options want them."""
 FRAME_WORK = 14.0
 """Work in one frame of a flight, in floors, at which its search goes on with the next frame.
 
@@ -40,7 +44,11 @@ class SecondOpinion(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerConfig:
-    """The fixed inputs of vision."""
+    """The fixed inputs of vision.
+
+    Raises:
+        BadInput: the options want the thesis' methods, which are not installed; the message says what to install.
+    """
 
     camera: Camera
     pad: Pad
@@ -56,3 +64,9 @@ class TrackerConfig:
     """Look for things on the pad and about it; what was seen before is forgotten where that ends."""
     integrity: IntegrityOptions = field(default_factory=IntegrityOptions)
     """The guard's limits, by which a belief excludes a place."""
+
+    def __post_init__(self) -> None:
+        if (method := self.options.method) != "registration" and find_spec(THESIS) is None:
+            raise BadInput(
+                f"the method {method} needs the thesis' methods, which are not installed: install the extra decklander[compare]"
+            )

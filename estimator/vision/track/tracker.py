@@ -28,7 +28,8 @@ from estimator.vision.native import work_done
 from estimator.vision.options import ColourSetName, TrackerMethod, TrackerOptions
 from estimator.vision.pad.pad import Pad
 from estimator.vision.register.verified import SURE
-from estimator.vision.track.by_paint import THESIS, by_paint
+from estimator.vision.track.by_paint import by_paint
+from estimator.vision.track.config import THESIS
 from estimator.vision.track.config import TrackerConfig as TrackerConfig
 from estimator.vision.track.expected import ExpectedPlace, expected, near_enough, sigma_of
 from estimator.vision.track.lamps import by_lamps
@@ -143,6 +144,7 @@ class PadTracker:
         TypeError: `camera` is no Camera, or `pad` no Pad.
         ValueError: there is no such method or colours, `min_confidence` is outside 0..1, or `sigma_deck_rad` is outside 0 to
             30 degrees.
+        BadInput: the method is one of the thesis', which are not installed.
     """
 
     def __init__(
