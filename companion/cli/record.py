@@ -24,7 +24,7 @@ from companion.parts.recorder.folder import digest_file, recordings
 from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.reading import MAGIC, RecordedFrame, Recording, instant, open_recording
 from companion.recording.rewriting import TABLE_OF, Cut, export, rewrite
-from companion.settings.capabilities import importer_of, names_offered, offered
+from companion.settings.capabilities import importer_of, names_offered, offered, ship_logs
 from companion.settings.load import Settings, camera_model, load, shipped, whole
 from companion.settings.remarks import sources as sources_of_ship
 from drivers.file_kinds import DECRYPT, FileKind, kind_of
@@ -204,8 +204,6 @@ class _Source(Struct, frozen=True):
         file = ForeignFile(path, size, self.note, self.topic)
         if self.importer is not None:
             return iter(self.importer.read(file))
-        if kind is FileKind.NETWORK:
-            return iter(_ship_reader(path, kind).read(path, self.note))
         if kind.name not in names_offered("importers"):
             raise BadInput(f"{path}: {kind.value}, and no video: {_INSTEAD.get(kind, 'it is not imported')}")
         read: Read = offered("importers", kind.name, f"{path}: {kind.value}")
@@ -249,11 +247,6 @@ def _import(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ship_reader(path: Path, kind: FileKind) -> Any:
-    """Return what reads logs of a ship of this kind."""
-    return offered("importers", kind.name, f"{path}: {kind.value}")
-
-
 def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, int]) -> list[Iterator[Sample | Frame]]:
     """Return the data of each source in order; the logs of a ship's sentences are one.
 
@@ -262,19 +255,21 @@ def _streams(sources: Sequence[_Source], settings: Settings, size: tuple[int, in
     """
     kinds = {s.path: s.kind for s in sources}
     of_ship = [(path, kind) for path, kind in kinds.items() if kind in (FileKind.SENTENCES, FileKind.NETWORK)]
-    readers = {kind: _ship_reader(path, kind) for path, kind in of_ship}
-    if of_ship and settings.vessel == type(settings.vessel)() and not sources_of_ship(settings):
-        path, kind = of_ship[0]
+    if not of_ship:
+        return [s.data(size) for s in sources]
+    path, kind = of_ship[0]
+    reader = ship_logs(f"{path}: {kind.value}")
+    if settings.vessel == type(settings.vessel)() and not sources_of_ship(settings):
         raise BadInput(f"{path}: {kind.value}: text, and no video or flight; give settings whose table [vessel] knows the ship")
     logs = [s for s in sources if kinds[s.path] is FileKind.SENTENCES]
-    began_s = {path: readers[kind].began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
+    began_s = {path: reader.began_s(path) for path, kind in of_ship if kind is FileKind.NETWORK}
     zero_s = min(began_s.values(), default=0.0)
     if max(began_s.values(), default=0.0) - zero_s < _DAY_S:
         later = {path: round(1e9 * (at_s - zero_s)) for path, at_s in began_s.items()}
         sources = [structs.replace(s, offset_ns=s.offset_ns + later.get(s.path, 0)) for s in sources]
     streams = [s.data(size) for s in sources if s not in logs]
     if logs:
-        streams.append(readers[FileKind.SENTENCES]([(s.path, s.offset_ns) for s in logs], logs[0].note, settings))
+        streams.append(reader.read_sentences([(s.path, s.offset_ns) for s in logs], logs[0].note, settings))
     return streams
 
 

@@ -9,11 +9,11 @@ then holds: a `VehicleKind`. One of the group `decklander.importers` is a `drive
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 from drivers.extras import is_installed, require
 from estimator.contracts.errors import BadInput, refused
@@ -23,7 +23,9 @@ if TYPE_CHECKING:  # the command line's help needs the table and no settings
     from importlib.metadata import EntryPoint
 
     from drivers.importer import Importer
+    from drivers.log_stamps import Tell
     from drivers.vehicle import AnsweringVehicle, VehicleOptions
+    from estimator.contracts.samples import Sample
     from estimator.vision.track.config import SecondOpinion
 
 VEHICLE_GROUP = "decklander.vehicles"
@@ -37,6 +39,22 @@ ReadOpinion: TypeAlias = "Callable[[str, str], SecondOpinion]"
 The second argument is the setting or option that names the file, for errors.
 """
 _NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+class ShipLogs(Protocol):
+    """A module that reads logs of a ship, beyond what is one file by itself. It raises BadInput where a log has a fault."""
+
+    def read_sentences(self, logs: Sequence[tuple[Path, int]], tell: Tell, settings: Any) -> Iterator[Sample]:
+        """Yield the samples of all logs of one ship's sentences in order; each log is moved by a time, ns."""
+        ...
+
+    def began_s(self, path: Path) -> float:
+        """Return when a log of her network began by its own clock, s."""
+        ...
+
+    def ship_motion(self, sentence: str) -> tuple[float | None, ...] | None:
+        """Return roll, pitch and heading, rad, and heave downward, m, of a sentence; None if a motion sensor says none in it."""
+        ...
 
 
 class VehicleKind(NamedTuple):
@@ -95,7 +113,9 @@ class Capability(NamedTuple):
     """Formats that `record export` writes, each by a function of a recording and a path, as module:object."""
     importers: Mapping[str, str] = _NONE
     """Readers of others' files, for `record import`, by the kind of file (`FileKind`): each a `drivers.importer.Read` as
-    module:object; of a ship's logs all at once, or a module."""
+    module:object."""
+    ship_logs: str = ""
+    """The module that reads logs of a ship: a `ShipLogs`."""
     controllers: Mapping[str, str] = _NONE
     """Controllers by the word of `guidance.controller`, each a function of a `ControllerSetup` as module:object."""
     opinions: Mapping[str, str] = _NONE
@@ -156,11 +176,8 @@ CAPABILITIES = (
         tables={"rtk": "companion.parts.ship.options:RtkOptions"},
         extended={"vessel": "companion.parts.ship.options:WiredVessel"},
         examine="companion.parts.ship.examine:examine",
-        importers={
-            "SENTENCES": "companion.parts.ship.logs:read_sentences",
-            "NETWORK": "drivers.nmea.network_log",
-            "MOTION": "drivers.nmea.motion",
-        },
+        importers={"NETWORK": "companion.parts.ship.logs:import_network"},
+        ship_logs="companion.parts.ship.logs",
     ),
     Capability(
         "MQTT",
@@ -283,6 +300,14 @@ def offered(field: str, name: str, wanted: str) -> Any:
     capability = next(one for one in CAPABILITIES if name in getattr(one, field))
     capability.require(wanted)
     return imported(getattr(capability, field)[name])
+
+
+def ship_logs(wanted: str) -> ShipLogs:
+    """Return what reads logs of a ship; `wanted` needs it, for the error. Raises BadInput where it is not installed."""
+    capability = next(one for one in CAPABILITIES if one.ship_logs)
+    capability.require(wanted)
+    reader: ShipLogs = imported(capability.ship_logs)
+    return reader
 
 
 def of_installed(field: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from companion.settings.capabilities import offered
+from companion.settings.capabilities import ship_logs
 from companion.settings.load import read_toml
 from companion.settings.overrides import finite
 from companion.settings.schema import explain
@@ -57,7 +57,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
     Raises:
         BadInput: the file cannot be read, or has no such stretch of 10 s.
     """
-    ship_motion = offered("importers", "MOTION", f"{path}: a ship's log").ship_motion
+    ship_motion = ship_logs(f"{path}: a ship's log").ship_motion
     lines = utf8_of(bytes_of(path, Largest.LOG)).decode("ascii", "replace").splitlines()
     places, headings, moved, t_s = [], [], [], math.nan
     for line in lines:
@@ -67,7 +67,7 @@ def read_log(path: Path, smooth_s: float) -> tuple[F64, F64]:
             if kind.endswith("GGA"):
                 t_s = 3600.0 * int(cells[0][:2]) + 60.0 * int(cells[0][2:4]) + float(cells[0][4:])
             if kind.endswith("PSXN") and math.isfinite(t_s) and (motion := ship_motion(line[line.index("$") :])):
-                moved.append((t_s, motion.roll_rad, motion.pitch_rad, motion.heading_rad, motion.heave_down_m))
+                moved.append((t_s, *motion))
             elif kind.endswith("GGA") and cells[5] == _RTK:
                 north, east = _degrees(cells[1], cells[2]), _degrees(cells[3], cells[4])
                 places.append((t_s, north, east, float(cells[8]) + float(cells[10] or 0.0)))
