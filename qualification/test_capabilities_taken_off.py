@@ -22,7 +22,9 @@ REMOVABLE = (
 )  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 TESTS = {
-    "imports of others' files": ("tests/companion/test_config_import.py",),
+    "gamepad": ("tests/companion/page/test_settings_tool.py",),
+    "imports of others' files": ("tests/companion/doctor/test_set_ups.py", "tests/companion/test_config_import.py"),
+    "learned parts": ("tests/estimator/core/test_library.py",),
     "ship's wires": (
         "tests/companion/doctor/test_gather.py",
         "tests/companion/doctor/test_rules.py",
@@ -30,7 +32,7 @@ TESTS = {
     ),
     "thesis": ("tests/companion/test_thesis_mission.py", "tests/estimator/vision/test_tracker.py"),
 }
-"""Tests by a capability's command or keys of the settings, which import nothing of it."""
+"""Tests by a capability's command, keys of the settings or entries of the header, which import nothing of it."""
 RIGS = {"AR.Drone": r'(?:load|settings)\w*\("(?:sim|ardrone\d)"|rig_for\(.*"ardrone1"|kind"?(?:: | = |=)"ardrone"'}
 """Text of tests that stand on a capability's own rig: the profiles `sim`, `ardrone1` and `ardrone2` are an AR.Drone's."""
 WANTED = {
@@ -85,8 +87,9 @@ def lost_fixtures(gone: set[str]) -> set[str]:
 def kept_without(owner: str) -> list[str]:
     """Return the files of the tree that stay without a capability; tests that import what is gone go, too."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
-    gone = modules_of(path for path in listed if path.startswith(OWNERS[owner]))
-    files = [path for path in listed if not path.startswith((*OWNERS[owner], *TESTS.get(owner, ()), *LEFT_OUT))]
+    of_owner = (*OWNERS[owner], *TESTS.get(owner, ()))
+    gone = modules_of(path for path in listed if path.startswith(of_owner))
+    files = [path for path in listed if not path.startswith((*of_owner, *LEFT_OUT))]
     texts = {path: (ROOT / path).read_text() for path in files if path.startswith("tests/") and path.endswith(".py")}
     tests = {path: names_in(text) for path, text in texts.items() if path != CONFTEST}
     lost = [path for path in tests if owner in RIGS and re.search(RIGS[owner], texts[path])]
