@@ -68,7 +68,7 @@ class SeeingPilot(Pilot):
     """Sees the pad where the fake vehicle knows it to be."""
 
     def __init__(self, vehicle: FakeFlight) -> None:
-        super().__init__(EYES, EstimatorOptions(), GuidanceOptions())
+        super().__init__(EYES, EstimatorOptions(path="median_mean"), GuidanceOptions())
         self._truth = vehicle
 
     def detect(self, look: Look) -> Detection:
