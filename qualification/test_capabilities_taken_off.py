@@ -28,7 +28,9 @@ TESTS = {
     "ship's wires": (
         "tests/companion/doctor/test_gather.py",
         "tests/companion/doctor/test_rules.py",
+        "tests/companion/page/test_settings_tool.py",
         "tests/companion/page/test_tools.py",
+        "tests/sitl/test_rig.py",
     ),
     "thesis": ("tests/companion/test_thesis_mission.py", "tests/estimator/vision/test_tracker.py"),
 }
