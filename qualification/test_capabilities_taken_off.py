@@ -22,6 +22,7 @@ REMOVABLE = (
 )  # fmt: skip
 """Names of `benches.house_counts.OWNERS`, whose files are taken away."""
 TESTS = {
+    "MQTT and watch": ("tests/companion/page/test_settings_tool.py",),
     "gamepad": ("tests/companion/page/test_settings_tool.py",),
     "imports of others' files": ("tests/companion/doctor/test_set_ups.py", "tests/companion/test_config_import.py"),
     "learned parts": ("tests/estimator/core/test_library.py",),
