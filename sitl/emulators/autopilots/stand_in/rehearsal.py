@@ -9,6 +9,7 @@ service takes the vehicle or somebody else its mode. One that starts on the pad 
 """
 
 import asyncio
+from collections import deque
 from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
@@ -50,6 +51,8 @@ CATCH_UP_MAX_S = 0.25
 """Longest standstill of this machine that is caught up; the world then goes on where it stood."""
 _TRUTH_EACH, _STATION_EACH = round(0.04 / STEP_S), round(STATION_S / STEP_S)
 """Steps between two true states that are kept, and between two acts of the pilot."""
+_TRUTHS_MAX = round(3600.0 / (_TRUTH_EACH * STEP_S))
+"""Most true states that are kept: the last hour's, however long a page is left open."""
 _WAITS = frozenset(state.value for state in (State.STANDBY, State.WAIT, State.READY))
 """Phases of guidance before the first order."""
 _FRAMES_MAX_HZ = 60.0
@@ -95,7 +98,7 @@ class Rehearsal(NullObserver):
         """The service that gets frames and reports; None while there is none."""
         self._worker: RenderWorker | None = None
         """Renders frames in a process of its own; None renders them in a thread."""
-        self._truths: list[Truth] = []
+        self._truths = deque[Truth](maxlen=_TRUTHS_MAX)
         self.frames_due = self.frames_sent = 0
         """Frames that a machine that is fast enough would have rendered, and those that it did."""
         self.stood_still_s = 0.0
