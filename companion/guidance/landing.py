@@ -96,7 +96,7 @@ _SAME = {ReasonCause.ON_PAD: 0.2, ReasonCause.NEAR_PAD: 0.5, ReasonCause.GLARE: 
 _PLAIN = frozenset(State) - _FAULTED - ENDED - {State.RENDEZVOUS, State.GATE, State.HOLD_BLIND} | {State.LANDED}
 _BY_REPORTS = (State.SEARCH, State.RENDEZVOUS, State.LAND_HERE)
 """States in which the drone flies by the reports of ship and vehicle, where it may."""
-_NEAR = (State.GATE, State.COMMIT)
+_NEAR = (State.GATE, State.COMMIT, State.LAND_HERE)
 """States in which the contact to come is predicted."""
 _DELAY_KEEP = 0.98
 """Share of the camera's delay that stays from one sighting to the next when those are later: a late one is jitter."""
@@ -494,6 +494,9 @@ class LandingGuidance:
         estimate = seen.relative
         if estimate is None or self.mission.state not in _NEAR:
             return None
+        if self.mission.lands_here:
+            x, y = land_here.over(self.mission.here, seen, estimate).tolist()
+            seen = structs.replace(seen, aim_level=(x, y))
         left_s = limits.to_contact_s(estimate, seen, self._guidance.cone)
         ahead = self._law.ahead(self._flight.law, seen, left_s)
         if ahead is None:

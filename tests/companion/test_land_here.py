@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, Event, ReasonCause, State
-from companion.guidance.controller import Impact, Knowledge, Target
+from companion.guidance.controller import AtContact, Impact, Knowledge, Target
 from companion.guidance.flight_memory import FlightMemory
 from companion.guidance.mission.land_here import touch
 from companion.guidance.mission.machine import allowed, mission_step, take_order, take_status
 from companion.guidance.mission.progress import GuidanceCycle, Here, Progress, VehicleHold
 from companion.guidance.mission.wind import WindOverDrone
-from companion.settings.guidance import GuidanceOptions
+from companion.settings.guidance import ClimbResponse, GuidanceOptions
 from estimator.contracts.commands import Land, Lean, Velocity
 from estimator.contracts.estimates import IntegrityAlert
 from tests.companion.test_flight_memory import back
@@ -36,7 +36,7 @@ def landing(state: State = State.PAUSED, at_s: float = 0.0, o: GuidanceOptions =
 
 
 def cycle(t: float, seen: Any = None, *, over_ground: bool = False, **more: Any) -> GuidanceCycle:
-    knows = {name: more.pop(name) for name in ("impact", "deck", "trusts_velocity") if name in more}
+    knows = {name: more.pop(name) for name in ("impact", "deck", "trusts_velocity", "at_contact", "climb") if name in more}
     return GuidanceCycle(ns(t), Knowledge(ns(t), seen, **knows), hold=VehicleHold(over_ground), **more)
 
 
@@ -258,6 +258,32 @@ def test_without_sight_it_is_flown_by_the_estimate_while_its_speed_is_known() ->
         assert touch(unknown, OPTIONS).lateral_m == pytest.approx(0.3)
     wrong = estimate(1.0, (0.3, 0.0, 3.0), age=5.0, sigma=0.1, consistent=False)
     assert touch(cycle(1.0, wrong), OPTIONS).lateral_m is None
+
+
+@pytest.mark.hazard("H4")
+@pytest.mark.parametrize("age_s", [0.1, 0.9])
+def test_it_waits_at_the_gate_for_a_contact_to_come_that_is_slow_and_goes_back_while_it_can(age_s: float) -> None:
+    """WHY: feet met the deck at .9 m/s along it where the loop was on its way back to the place (weather_3, 908214)."""
+    fast, slow = AtContact(0.1, 0.9, 0.0), AtContact(0.1, 0.1, 0.0)
+
+    def flown(p: Progress, t: float, ahead: AtContact, height_m: float) -> tuple[Progress, float]:
+        s = cycle(t, estimate(t, (0.02, 0.0, height_m), age=age_s), at_contact=ahead, climb=ClimbResponse(0.14, 0.12))
+        p, aim, _ = mission_step(p, s, OPTIONS)
+        assert isinstance(aim, Target)
+        assert aim.descent_rate_m_s is not None
+        return p, aim.descent_rate_m_s
+
+    gate_m, most_m_s = OPTIONS.cone.gate_m, OPTIONS.cone.commit_rate_m_s
+    p, waits = flown(landing(at_s=0.9), 1.0, fast, gate_m)
+    assert waits == pytest.approx(0.0, abs=0.01)
+    p, down = flown(p, 1.1, slow, gate_m)
+    assert down == most_m_s
+    p, back = flown(p, 1.2, fast, gate_m - 0.02)
+    assert back < 0.0
+    p, _ = flown(p, 1.3, slow, gate_m - 0.02)
+    p, low = flown(p, 1.4, fast, OPTIONS.cone.feet_below_m + 0.03)
+    assert low == most_m_s, "so low a climb comes after the contact"
+    assert flown(p, 10.0, fast, gate_m)[1] == most_m_s, "no longer than that"
 
 
 def test_what_is_announced_just_out_of_sight_knows_that_the_speed_becomes_vague_more_so_over_the_ground() -> None:

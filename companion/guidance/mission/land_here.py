@@ -21,7 +21,7 @@ import numpy as np
 from msgspec import Struct, structs
 
 from companion.base.mission import Event, Reason, ReasonCause, State
-from companion.guidance.controller import Target
+from companion.guidance.controller import Knowledge, Target
 from companion.guidance.mission import contact, limits, rules
 from companion.guidance.mission.descend import INSIDE
 from companion.guidance.mission.phase import LANDING, Aimed, Phase, climbs, descending, turn_rad, usable
@@ -41,6 +41,8 @@ _COMES_DOWN_S = 3.0
 """Time constant of the way down to a surface that is ranged out of sight, s."""
 _SILENT_S = 1.0
 """Time without a sample of the vehicle after which it lands by itself, s."""
+_UNSEEN_S = 1.5
+"""Longest wait there without sight until it is still, s: its speed is measured, its place drifts away."""
 _AT_GATE_M = 0.08
 """Height over the gate up to which it is there, m."""
 _LANDS_BY_ITSELF_S = 10.0  # time beyond three times that of the way down after which it lands by itself
@@ -240,14 +242,14 @@ def _way_s(s: GuidanceCycle, o: GuidanceOptions, estimate: RelativeState) -> flo
     return low_s + high_m / (cone.descent_rate_m_s if fast else cone.commit_rate_m_s)
 
 
-def _over(here: Here | None, s: GuidanceCycle, estimate: RelativeState) -> F64:
+def over(here: Here | None, knowledge: Knowledge, estimate: RelativeState) -> F64:
     """Return the wanted vector from the body to the pad over the place that it comes down to, (2,) m in `level`."""
     at = None if here is None else here.at_pad
     if at is None:
         return np.array(estimate.d_body_pad_level[:2])
     if at == (0.0, 0.0):
-        return np.array(s.knowledge.aim_level)
-    return np.array(s.knowledge.aim_level) - rotated(np.array(at), -(estimate.yaw_rad or 0.0))
+        return np.array(knowledge.aim_level)
+    return np.array(knowledge.aim_level) - rotated(np.array(at), -(estimate.yaw_rad or 0.0))
 
 
 def _rate_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
@@ -264,18 +266,30 @@ def _rate_m_s(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> float:
 
 
 def _error_m(p: Progress, s: GuidanceCycle, estimate: RelativeState) -> float:
-    return math.dist(estimate.d_body_pad_level.tolist()[:2], _over(p.here, s, estimate))
+    return math.dist(estimate.d_body_pad_level.tolist()[:2], over(p.here, s.knowledge, estimate))
 
 
-def _steady(p: Progress, s: GuidanceCycle, o: GuidanceOptions, waited_s: float) -> bool:
-    """Return whether it is and will be over the place and still, or whether waiting for that is no use without sight."""
-    estimate = s.estimate
-    if estimate is None or not fit_to_steer(estimate, s.at, o.stale_after_s):
+def _steady(p: Progress, s: GuidanceCycle, o: GuidanceOptions, waited_s: float, *, going: bool) -> bool:
+    """Return whether it is and will be over the place and still, or whether nothing is known by which to wait for that.
+
+    Args:
+        waited_s: time since it is at the gate's height, by which the limits grow.
+        going: whether it goes down already. What is to come then ends that for as long as it is not too low to climb.
+    """
+    estimate, knowledge = flown_by(s, o), s.knowledge
+    if estimate is None or waited_s > _STEADIES_S or estimate.age_s(s.at) > _UNSEEN_S:
         return True
-    v, left_s = estimate.v_pad_level[:2], limits.to_contact_s(estimate, s.knowledge, o.cone)
-    off = estimate.d_body_pad_level[:2] - _over(p.here, s, estimate)
     looser = 1.0 + waited_s / _LOOSER_S
-    slow = math.hypot(*v) <= looser * o.limits.relative_speed_m_s
+    ahead, most_m_s = knowledge.at_contact, looser * o.limits.relative_speed_m_s
+    comes_m_s = 0.0 if ahead is None else ahead.speed_m_s
+    if going:
+        low = estimate.height_m <= max(limits.no_return_m(knowledge, o.cone), limits.lift_m(estimate, knowledge, o.cone))
+        return low or comes_m_s <= limits.COMMIT_SPEED * most_m_s
+    v, left_s = estimate.v_pad_level[:2], limits.to_contact_s(estimate, knowledge, o.cone)
+    slow = max(math.hypot(*v), comes_m_s) <= most_m_s
+    if not fit_to_steer(estimate, s.at, o.stale_after_s):
+        return slow  # its speed is measured without sight, its place is not
+    off = estimate.d_body_pad_level[:2] - over(p.here, knowledge, estimate)
     return slow and max(math.hypot(*off), math.hypot(*(off + left_s * v))) <= looser * o.limits.error_m
 
 
@@ -287,9 +301,9 @@ def _note(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Progress:
     low, committed = kept.low_since, kept.committed_since
     if low is None and (estimate is None or contact.least_height_m(s, o, estimate) <= o.cone.gate_m + _AT_GATE_M):
         low = s.at
-    if committed is None and low is not None:
-        waited_s = seconds_between(low, s.at)
-        committed = s.at if waited_s > _STEADIES_S or _steady(p, s, o, waited_s) else None
+    if low is not None:
+        steady = _steady(p, s, o, seconds_between(low, s.at), going=committed is not None)
+        committed = (committed or s.at) if steady else None
     near = s.range_m - o.cone.feet_below_m <= _NEAR_M if s.range_m is not None else kept.near and committed is not None
     stands = committed is not None and (near or (s.range_m is None and _stands(s, o)))
     stood = kept.stood_since or s.at if stands else None
@@ -372,9 +386,10 @@ def _aim(p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Aimed:
     if estimate is None:
         below = _descent(p).below
         return climbs(p, s, -(rate if below is None else below.ordered_m_s))
-    deck = np.array([*_over(p.here, s, estimate), 0.0])
-    turns = turn_rad(s, o, estimate)
-    return p, Target(deck, descent_rate_m_s=rate, speed_max_m_s=o.cone.intercept_speed_m_s, yaw_rad=turns)
+    deck = np.array([*over(p.here, s.knowledge, estimate), 0.0])
+    # On the last way a place missed is better than feet that slide: no way back to it is flown fast.
+    most_m_s = o.cone.intercept_speed_m_s if _descent(p).committed_since is None else o.limits.relative_speed_m_s
+    return p, Target(deck, descent_rate_m_s=rate, speed_max_m_s=most_m_s, yaw_rad=turn_rad(s, o, estimate))
 
 
 def _allows(command: Command, p: Progress, s: GuidanceCycle, o: GuidanceOptions) -> Command:

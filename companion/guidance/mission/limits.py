@@ -33,7 +33,7 @@ _DECK_SIGMAS = 2.0
 """Standard deviations that a motion of the deck has to be beyond them."""
 _FRICTION = 0.5
 """Friction between feet and deck, of its weight; wet steel has less, rubber more."""
-_COMMIT_SPEED = 1.5
+COMMIT_SPEED = 1.5
 """Error and speed along the deck at the contact to come that end a commit while it can, over the gate's limits."""
 SIGMAS_AHEAD = 2.0
 """Standard deviations of the place at the contact that count."""
@@ -121,7 +121,7 @@ def gate(
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
         (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.error_m),
-        (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED * limits.relative_speed_m_s),
+        (ReasonCause.RELATIVE_SPEED, speed, COMMIT_SPEED * limits.relative_speed_m_s),
         *_at_contact(knowledge, limits, 1.0),
         *_of_the_deck(knowledge, limits, contact_s),
         (ReasonCause.DECK_RISE, rise_beyond_climb_m(knowledge), limits.deck_rise_m),
@@ -237,13 +237,13 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     lifts = over_m > 0.0
     speed = _speed_m_s(estimate, knowledge, cone, over_m)
     # Feet that the deck holds make a tilt without a motion: a gust, or a speed to come, that is not there.
-    ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, _COMMIT_SPEED)
+    ahead = [] if reached(estimate, knowledge, cone) else _at_contact(knowledge, limits, COMMIT_SPEED)
     return _first(
         [
             *(ahead if turns else ahead[1:] if lifts else ()),
             (ReasonCause.SIGHTING_AGE, estimate.age_s(now), limits.commit_sighting_age_s),
             beside if turns else lands,
-            (ReasonCause.RELATIVE_SPEED, speed, _COMMIT_SPEED**2 * limits.relative_speed_m_s),
+            (ReasonCause.RELATIVE_SPEED, speed, COMMIT_SPEED**2 * limits.relative_speed_m_s),
             # What was within the limit at the gate may tilt a little further until the contact.
             (ReasonCause.DECK_TILT, tilt_deg, limits.deck_tilt_gate_deg),
         ]
