@@ -114,6 +114,8 @@ class Knowledge(Struct, frozen=True):
     """Height by which such a swell, at twice its standard deviation, rises above a drone that climbs as fast as it can."""
     aim_level: tuple[float, float] = (0.0, 0.0)
     """Wanted place of the pad's centre at the contact, forward and right, m: a tilted vehicle comes to stand to lee of it."""
+    rim_m: float = math.inf
+    """Distance from the wanted place up to which the vehicle has all feet on the pad; the gate's own limit on a smaller pad."""
     confirmed: bool = False
     """True while a motion sensor of the ship and the camera agree on the deck."""
     at_contact: AtContact | None = None

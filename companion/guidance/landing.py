@@ -139,6 +139,8 @@ class PilotOptions(Struct, frozen=True):
     """The field of a camera that leans with the body; None of another."""
     resumes: bool = False
     """True if a landing that a person took over goes on when the driver says that it was given back."""
+    rim_m: float = math.inf
+    """Distance from the pad's centre up to which all feet are on the pad."""
     gimballed: bool = False
     """True if a gimbal carries the camera, whose file then holds its rotation on the gimbal's last axis."""
 
@@ -192,7 +194,7 @@ class LandingGuidance:
         self._flight = _Flight(self._law.start())
         self.hold = VehicleHold(options.over_ground)
         """The hold that the vehicle has by itself."""
-        self._resumes = options.resumes
+        self._resumes, self._rim_m = options.resumes, options.rim_m
         self._response = ResponseIdentifier(options.tilt, guidance)
         self._changes: list[StateChange] = []
         self._left = False
@@ -486,6 +488,7 @@ class LandingGuidance:
             outrun_m=0.0 if climb_m_s is None else flight.swell.gained_m(climb_m_s),
             confirmed=estimator.ship_motion.confirmed(now),
             aim_level=(0.0, 0.0) if self._air is None else self._air.aim_level(self._guidance.cone.feet_below_m),
+            rim_m=max(self._rim_m, self._guidance.limits.error_m),
         )  # fmt: skip
         return structs.replace(known, at_contact=self._at_contact(known))
 

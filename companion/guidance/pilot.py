@@ -24,6 +24,7 @@ from companion.settings.capabilities import ReadOpinion, offered
 from companion.settings.guidance import GuidanceOptions, Response, TiltResponse
 from companion.settings.load import body_camera, camera_model, pad_model, response_model
 from companion.settings.model import Settings
+from companion.settings.sound import rim_m
 from estimator.attitude_history import DOWN, HeldCamera
 from estimator.contracts.commands import Lean
 from estimator.contracts.errors import in_words
@@ -467,6 +468,7 @@ def make_pilot(settings: Settings, shadows: Sequence[PathName] = (), kind: Calla
             tilt=_flyable_tilt(settings),
             climb=_within_driver(response_model(settings), settings).climb,
             view=None if settings.camera.gimbal.given else field_of_view(body_camera(settings)),
+            rim_m=rim_m(settings),
             gimballed=settings.camera.gimbal.given,
         ),
     )

@@ -3,6 +3,7 @@
 A vehicle may have a reason to be beyond one; `config check`, `run --check` and `doctor` say so, and refuse nothing.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,10 +11,19 @@ from typing import NamedTuple
 from companion.settings.load import pad_model
 from companion.settings.model import Settings, in_file
 
+_COMMIT_ADDS = 1.5
+"""Place at the contact that a commit allows, over the gate's limit: a gust moves the vehicle so far before a climb avoids it."""
 
-def _rim_m(settings: Settings) -> float:
-    """Return how far off the centre the vehicle may stand with all feet on the pad."""
-    return pad_model(settings).disc_radius_m - settings.guidance.cone.feet_aside_m
+
+def rim_m(settings: Settings) -> float:
+    """Return how far off the centre a vehicle of any heading may stand with all four feet on the pad, metres.
+
+    Negative where the feet are wider than the pad.
+
+    Raises:
+        BadInput: the pad's file cannot be read.
+    """
+    return pad_model(settings).disc_radius_m - math.sqrt(2.0) * settings.guidance.cone.feet_aside_m
 
 
 class Sound(NamedTuple):
@@ -30,9 +40,10 @@ SOUND = (
     Sound("guidance.cone.gate_height_m", 1.0, "the commit goes on without a limit of the gate: the deck moves on its way"),
     Sound("guidance.cone.feet_below_m", 0.6, "the contact is expected so much above the deck: measure from the body's origin"),
     Sound("guidance.cone.feet_aside_m", lambda s: pad_model(s).disc_radius_m, "no foot is then on the pad"),
-    Sound("guidance.limits.error_m", _rim_m, "a foot is then over the pad's rim"),
-    Sound("guidance.limits.commit_error_m", _rim_m, "a foot is then over the pad's rim"),
-    Sound("guidance.limits.sigma_m", _rim_m, "nobody knows whether the feet are over the pad"),
+    Sound(
+        "guidance.limits.error_m", lambda s: rim_m(s) / _COMMIT_ADDS, "the feet nearly fill this pad: a gust puts one over it"
+    ),
+    Sound("guidance.limits.sigma_m", rim_m, "nobody knows whether the feet are over the pad"),
     Sound("guidance.limits.relative_speed_m_s", 0.5, "a vehicle that touches at such a speed along the deck tips over its feet"),
     Sound("guidance.limits.commit_sighting_age_s", 3.0, "half a wave has passed since that sighting"),
     Sound("guidance.limits.deck_tilt_gate_deg", 8.0, "feet slide on a wet deck, and the rotors reach it on one side"),

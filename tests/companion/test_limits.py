@@ -155,6 +155,22 @@ def test_sigma_is_that_of_the_worst_horizontal_direction(seed: int) -> None:
     assert sigma_m(one) ** 2 == pytest.approx(np.linalg.eigvalsh(cov[:2, :2])[-1])
 
 
+@pytest.mark.hazard("H3")
+@given(rim_m=st.floats(0.02, 0.3), aside_m=st.floats(0.0, 0.3), go_arounds=st.integers(0, 5), lands=st.booleans())
+def test_no_widened_limit_lets_a_foot_over_the_rim(rim_m: float, aside_m: float, go_arounds: int, *, lands: bool) -> None:
+    o = of_try(GuidanceOptions(), go_arounds)
+    now_m, then_m = (0.0, aside_m) if lands else (aside_m, 0.0)
+    one = estimate(NOW, (0.0, now_m, 0.3))
+    known = Knowledge(ns(NOW), one, at_contact=AtContact(then_m, 0.0, 0.0), rim_m=rim_m)
+    ends = commit(ns(NOW), one, known, o.limits, o.cone)
+    shuts = gate(ns(NOW), one, known, InputQuality(), o.limits, o.cone, aligned=False)
+    if aside_m > rim_m:
+        assert ends is not None
+        assert shuts is not None
+    wide = commit(ns(NOW), one, replace(known, rim_m=math.inf), o.limits, o.cone)
+    assert (ends is None) == (wide is None and aside_m <= rim_m), "the rim alone makes the difference"
+
+
 def in_commit(seen: dict[str, Any], deck: DeckMotion | None = None, longer_s: float | None = None) -> Reason | None:
     one = estimate(NOW, **{"d": (0.0, 0.0, 0.3)} | seen)
     response = None if longer_s is None else ResponseInUse(ResponseState.IDENTIFIED, 0.1, 0.01, longer_s)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, reject
 from hypothesis import settings as runs
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from msgspec import inspect
 
 from companion.cli import main as cli
+from companion.guidance.pilot import make_pilot
 from companion.parts.mavlink.bridge.options import BridgeOptions
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import schema
@@ -34,7 +36,7 @@ from companion.settings.load import (
 from companion.settings.model import Settings, in_file
 from companion.settings.remarks import remarks, without_effect
 from companion.settings.schema import unit_of, walk
-from companion.settings.sound import SOUND, Sound, beyond_sound
+from companion.settings.sound import SOUND, Sound, beyond_sound, rim_m
 from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from estimator.contracts.address import masked, raw
 from estimator.contracts.errors import BadInput
@@ -401,6 +403,16 @@ def test_a_limit_that_is_wider_than_its_meaning_is_named_with_the_reason(sound: 
     assert line.startswith(f"{in_file(sound.key)} is {kind.le:g}, beyond ")
     assert sound.beyond in line
     assert f"{in_file(sound.key)} is" not in "".join(beyond_sound(widened(sound.key, field.default))), "the default is sound"
+
+
+@pytest.mark.parametrize(("aside_m", "named"), [(0.13, False), (0.20, True)])
+def test_feet_that_nearly_fill_the_pad_are_named_and_bound_the_landing(aside_m: float, *, named: bool) -> None:
+    settings = widened("guidance.cone.feet_aside_m", aside_m)
+    assert any("nearly fill this pad" in line for line in remarks(settings)) == named
+    corners = aside_m * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    aside = corners + rim_m(settings) * np.array([1, 1]) / math.sqrt(2.0)
+    assert np.hypot(*aside.T).max() == pytest.approx(pad_model(settings).disc_radius_m), "the worst heading reaches the rim"
+    assert make_pilot(settings).landing._rim_m == rim_m(settings)
 
 
 @pytest.mark.parametrize(

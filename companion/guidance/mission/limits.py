@@ -120,7 +120,7 @@ def gate(
         *_of_the_sightings(now, estimate, quality, limits),
         (ReasonCause.SIGMA, sigma_m(estimate), limits.sigma_m),
         (ReasonCause.TIME_LOCK, quality.time_sigma_s, limits.time_sigma_s),
-        (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.error_m),
+        (ReasonCause.ERROR, beside_m(estimate, knowledge), min(limits.error_m, knowledge.rim_m)),
         (ReasonCause.RELATIVE_SPEED, speed, COMMIT_SPEED * limits.relative_speed_m_s),
         *_at_contact(knowledge, limits, 1.0),
         *_of_the_deck(knowledge, limits, contact_s),
@@ -231,7 +231,7 @@ def commit(now: MonoNs, estimate: RelativeState, knowledge: Knowledge, limits: L
     turns = estimate.height_m > max(no_return_m(knowledge, cone), lift)
     tilt_deg = _tilt_deg(knowledge.deck) if turns and knowledge.deck is not None else None
     # So low that it touches the deck in any case, a vehicle that comes to stand on the pad is better off there.
-    beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), limits.commit_error_m)
+    beside = (ReasonCause.ERROR, beside_m(estimate, knowledge), min(limits.commit_error_m, knowledge.rim_m))
     lands = (ReasonCause.ERROR, stop_m(estimate), ON_PAD * limits.commit_error_m)
     over_m = estimate.height_m - lift
     lifts = over_m > 0.0
@@ -255,8 +255,10 @@ def _at_contact(knowledge: Knowledge, limits: LandingLimits, looser: float) -> l
     ahead = knowledge.at_contact
     if ahead is None:
         return []
+    # A later try and the commit widen the limit, but never past the place where a foot is over the rim.
+    most_m = min(looser * limits.error_m, knowledge.rim_m)
     return [
-        (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m, SIGMAS_AHEAD * ahead.sigma_m), looser * limits.error_m),
+        (ReasonCause.ERROR_AHEAD, math.hypot(ahead.error_m, SIGMAS_AHEAD * ahead.sigma_m), most_m),
         (ReasonCause.SPEED_AHEAD, ahead.speed_m_s, looser * limits.relative_speed_m_s),
         (ReasonCause.GUST, ahead.gust_m_s, ahead.gust_most_m_s),
     ]
