@@ -40,9 +40,7 @@ SOUND = (
     Sound("guidance.cone.gate_height_m", 1.0, "the commit goes on without a limit of the gate: the deck moves on its way"),
     Sound("guidance.cone.feet_below_m", 0.6, "the contact is expected so much above the deck: measure from the body's origin"),
     Sound("guidance.cone.feet_aside_m", lambda s: pad_model(s).disc_radius_m, "no foot is then on the pad"),
-    Sound(
-        "guidance.limits.error_m", lambda s: rim_m(s) / _COMMIT_ADDS, "the feet nearly fill this pad: a gust puts one over it"
-    ),
+    Sound("guidance.limits.error_m", lambda s: rim_m(s) / _COMMIT_ADDS, "the feet nearly fill this pad: a gust puts one over it"),
     Sound("guidance.limits.sigma_m", rim_m, "nobody knows whether the feet are over the pad"),
     Sound("guidance.limits.relative_speed_m_s", 0.5, "a vehicle that touches at such a speed along the deck tips over its feet"),
     Sound("guidance.limits.commit_sighting_age_s", 3.0, "half a wave has passed since that sighting"),
