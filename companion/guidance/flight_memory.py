@@ -3,8 +3,9 @@
 A new process finds a vehicle that flies and knows neither who ordered what nor how high the deck is. Before it decides it reads
 the range sensor and the vehicle's reports as always, and this: a landing that was under way goes on, from the search; one where
 it is goes on down, to the place that was meant; a vehicle that was let down to the deck and stands has landed; a hold or an abort
-of a person stays one; and a height that was large enough spares a climb. A vehicle that a person had, or that is in another mode
-than it was left in, is a person's until he orders to begin: he may have chosen that mode while no service watched.
+of a person stays one; a height that was large enough spares a climb; and the ship is followed by the way that she kept. A vehicle
+that a person had, or that is in another mode than it was left in, is a person's until he orders to begin: he may have chosen that
+mode while no service watched.
 """
 
 from collections.abc import Mapping
@@ -18,6 +19,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 
 OLD_S = 30.0
 """Age up to which it is used, s: a service manager restarts a service within seconds; later a person has acted."""
+KEPT_WAY_S = 300.0
+"""Time for which a ship that is not seen and reports nothing is taken to keep her way, s."""
 _NEARER_M_S = 0.5
 """Speed with which a deck may have come nearer to a vehicle that hovered meanwhile, m/s."""
 _RESUMES: Mapping[State, Event] = dict.fromkeys(FLOWN, Event.BEGIN) | {
@@ -46,6 +49,8 @@ class FlightMemory(Struct, frozen=True):
     """The order was to stay over the pad, not to land."""
     here: tuple[float, float] | None = None
     """Place that it comes down to where it lands where it is, as `Here.at_pad`."""
+    way_ned: tuple[float, float] | None = None
+    """The ship's way over the ground as measured beside an autopilot, m/s north and east; None if it is not known."""
 
 
 def memory_of(p: Progress, s: GuidanceCycle) -> FlightMemory:

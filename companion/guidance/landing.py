@@ -12,7 +12,7 @@ from companion.base.mission import CONTACT_INTENDED, ENDED, FLOWN, GROUND, ORDER
 from companion.base.observer import ResponseInUse
 from companion.guidance import targets
 from companion.guidance.controller import HORIZONS_S, AtContact, Controller, FieldOfView, Impact, Knowledge, Target
-from companion.guidance.flight_memory import FlightMemory, carried_on, memory_of, resumed_by
+from companion.guidance.flight_memory import KEPT_WAY_S, FlightMemory, carried_on, memory_of, resumed_by
 from companion.guidance.law.controllers import ControllerSetup, make_controller
 from companion.guidance.law.flown_course import reported_lean
 from companion.guidance.law.margins import expected_error_m
@@ -51,6 +51,7 @@ from drivers.mavlink.options import VELOCITY_MODES
 from drivers.vehicle import PHASE_MODES
 from estimator.contracts.commands import Command, Lean, Velocity
 from estimator.contracts.estimates import FusionResult, IntegrityAlert, PathName, RelativeState, Verdict
+from estimator.contracts.geometry import F64
 from estimator.contracts.samples import (
     Attitude,
     Baro,
@@ -203,6 +204,10 @@ class LandingGuidance:
         """The newest guidance cycle; None before the first."""
         self.before: FlightMemory | None = None
         """The flight's state as the service before this one left it, until a vehicle is found in the air."""
+        self.ship_way: Callable[[MonoNs], tuple[float, float] | None] = lambda now: None
+        """Returns her way over the ground, m/s north and east, as the vehicle's driver measures it, or None."""
+        self._way_before: FlightMemory | None = None
+        """The flight's state as the service before this one left it, for the ship's way."""
         self.memory: FlightMemory | None = None
         """The flight's state for the service after this one; None before the first guidance cycle."""
         self.vehicle: VehicleStatus | None = None
@@ -435,8 +440,17 @@ class LandingGuidance:
         if event is Event.TAKEN:
             self._left, reason = True, Reason(ReasonCause.TAKEN_OVER, detail=f"while the service was away: mode {status.mode}")
         self.mission, changes = take(self.mission, event, reason, at, self._guidance)
-        self.mission = carried_on(self.mission, before, at, taken=event is Event.TAKEN)
+        self.mission, self._way_before = carried_on(self.mission, before, at, taken=event is Event.TAKEN), before
         self._changes += changes
+
+    def reported_way(self, now: MonoNs) -> F64 | None:
+        """Return the ship's way by her reports, or as the service before this one knew it: (2,) m/s north and east, or None."""
+        if (reported := self.vessel_track.velocity_ned(now)) is not None:
+            return reported
+        before = self._way_before
+        if before is None or before.way_ned is None or seconds_between(before.at, now) > KEPT_WAY_S:
+            return None
+        return np.array(before.way_ned)
 
     def doubted(self, now: MonoNs) -> IntegrityAlert | None:
         """Return why an estimate that is consistent by itself may not be landed by; None if it may."""
@@ -557,7 +571,7 @@ class LandingGuidance:
         )  # fmt: skip
         self.mission, aim, changes = mission_step(self.mission, s, self._guidance)
         self._changes += changes
-        self.memory, self._cycle = memory_of(self.mission, s), s
+        self.memory, self._cycle = structs.replace(memory_of(self.mission, s), way_ned=self.ship_way(now)), s
         target = aim if isinstance(aim, Target) else None
         self._flight.law, command = self._law.step(self._flight.law, now, knowledge, target)
         if isinstance(aim, Target):

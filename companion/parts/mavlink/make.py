@@ -16,6 +16,7 @@ from msgspec import structs
 from companion.base.health import GIMBAL, Health
 from companion.base.orders import OperatorOrder, OrderSender, OrderSource
 from companion.cycle.ports import Assembly, VehicleParts
+from companion.guidance.flight_memory import KEPT_WAY_S
 from companion.guidance.pilot_operator import PilotOperator
 from companion.parts.mavlink.camera_component import showing, shown_camera
 from companion.parts.mavlink.commands import PilotTower, link_counters
@@ -64,8 +65,6 @@ HEAVE_S = 0.15
 """Time over which the vertical velocity is averaged."""
 FORGET_S = 20.0
 """The time after which a pad that comes back into sight counts as another pad, s."""
-KEEP_S = 300.0
-"""The time without sight for which a ship that reports nothing is taken to keep her way, s."""
 _UNSEEN_S = 1.0  # time without sight from which the mean over waves is held
 _FRESH_S = 0.3  # age up to which an estimate counts
 _SIGMA_MAX_M_S = 0.6  # standard deviation of its velocity up to which it counts
@@ -159,6 +158,13 @@ class DeckVelocity:
         speed = math.hypot(velocity[0], velocity[1])
         return velocity * min(1.0, _MOST_M_S / max(speed, 1e-9))
 
+    def way(self, now: MonoNs) -> tuple[float, float] | None:
+        """Return the ship's way, m/s north and east, for a service that takes over in the air, or None."""
+        if not self._trusted():
+            return None
+        kept = self._steady if self._at is not None else self._kept_way(now)
+        return None if kept is None else (round(kept.item(0), 3), round(kept.item(1), 3))
+
     def _forget(self) -> None:
         """Forget what sights of the pad showed."""
         self._known_s, self._at = 0.0, None
@@ -171,7 +177,7 @@ class DeckVelocity:
 
     def _kept_way(self, now: MonoNs) -> F64 | None:
         """Return the ship's way from before the pad came into sight, (3,) m/s; None if it is not known any more."""
-        return None if self._kept is None or seconds_between(self._kept[0], now) > KEEP_S else self._kept[1]
+        return None if self._kept is None or seconds_between(self._kept[0], now) > KEPT_WAY_S else self._kept[1]
 
     def _carried(self, now: MonoNs, left: Rested) -> F64:
         """Return the way of the ship that carried the deck from under a vehicle to under it again, (3,) m/s, level.
@@ -292,12 +298,10 @@ class AutopilotPart:
         for watcher in self._watchers:
             autopilot.add_listener(partial(watcher.on_message, autopilot))
         by = self._pilot.landing
-        autopilot.deck_velocity = DeckVelocity(
-            self._pilot.belief,
-            autopilot,
-            lambda at: by.vessel_track.velocity_ned(at),
-            lambda: not self._pilot.velocity_refused,
+        autopilot.deck_velocity = deck = DeckVelocity(
+            self._pilot.belief, autopilot, by.reported_way, lambda: not self._pilot.velocity_refused
         )
+        by.ship_way = deck.way
         self.component.attach(autopilot)
         gimbal = () if self._gimbal is None else (tended(self._gimbal, autopilot, self._clock),)
         self._watch = LinkWatch(autopilot, self._options.system_id, self._health, self._clock)

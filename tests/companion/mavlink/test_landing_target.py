@@ -7,13 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import Struct
 
-from companion.parts.mavlink.make import FORGET_S, KEEP_S, DeckVelocity
+from companion.guidance.flight_memory import KEPT_WAY_S, FlightMemory
+from companion.parts.mavlink.make import FORGET_S, DeckVelocity
 from companion.parts.mavlink.outputs import (
     TargetTrack,
     distance_sensor,
@@ -39,6 +41,8 @@ from estimator.contracts.samples import Attitude
 from estimator.contracts.time import NS_PER_S, MonoNs, Stamp
 from sitl.emulators.autopilots.stand_in.base import MiniatureAutopilot
 from tests.companion.mavlink.receivers import ArduPilotReceiver, Euler, Px4Receiver, Vector, ned_to_body
+from tests.companion.test_flight_memory import back
+from tests.make import ns
 from tests.support.waiting import until
 
 HEADINGS_DEG = (0, 45, 90, 135, 180, -135, -90, -45)
@@ -256,7 +260,7 @@ def test_it_is_held_without_sight_then_kept_as_the_ship_s_way_and_forgotten_in_t
     held = run_for(way, scene, 5.0)
     assert held == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
     assert run_for(way, scene, FORGET_S) == pytest.approx([1.5, 0.0, 0.0], abs=0.06)
-    scene.t_s += KEEP_S - FORGET_S - 6.0
+    scene.t_s += KEPT_WAY_S - FORGET_S - 6.0
     assert run_for(way, scene, 0.1)[0] == pytest.approx(1.5, abs=0.06)
     assert np.all(run_for(way, scene, 2.0) == 0.0)
 
@@ -353,7 +357,7 @@ def test_the_way_of_the_deck_from_which_it_took_off_is_kept_until_the_pad_is_see
     scene, seen = Scene(np.array([1.2, -0.9, 0.0])), False
     scene.rested = Rested(scene.now, np.array([1.1, -0.8, 0.0]), np.zeros(3))
     way = DeckVelocity(lambda now: scene.believe(now) if seen else None, scene)
-    assert run_for(way, scene, 0.9 * KEEP_S) == pytest.approx([1.1, -0.8, 0.0])
+    assert run_for(way, scene, 0.9 * KEPT_WAY_S) == pytest.approx([1.1, -0.8, 0.0])
     seen = True
     assert run_for(way, scene, 3.0)[:2] == pytest.approx([1.2, -0.9], abs=0.06)
 
@@ -524,3 +528,24 @@ def test_local_position_at_an_instant() -> None:
     assert position_at(reports, instant(2.0)) is None
     assert position_at(reports, instant(-2.0)) is None
     assert position_at((), instant(0.0)) is None
+
+
+@pytest.mark.hazard("H9")
+def test_a_service_that_comes_back_follows_the_ship_by_the_way_that_the_one_before_measured() -> None:
+    """WHY: beside an autopilot, which holds over the ground, a ship under way left the drone 287 m behind (weather_3, 908044)."""
+    scene = Scene(np.array([1.2, -0.9, 0.0]))
+    before = back(None).pilot.landing
+    way = DeckVelocity(scene.believe, scene, before.reported_way)
+    assert before.reported_way(scene.now) is None
+    run_for(way, scene, 3.0)
+    known = way.way(scene.now)
+    assert known == pytest.approx((1.2, -0.9), abs=0.06)
+    kept = msgspec.json.decode(msgspec.json.encode(FlightMemory(ns(100.0), "COMMIT", True, way_ned=known)), type=FlightMemory)
+    after = back(kept).pilot.landing
+    unseen = DeckVelocity(lambda now: None, scene, after.reported_way)
+    scene.t_s = 102.0
+    assert run_for(unseen, scene, 1.0) == pytest.approx([*known, 0.0])
+    scene.t_s += KEPT_WAY_S
+    assert run_for(unseen, scene, 1.0).tolist() == [0.0, 0.0, 0.0]
+    untrusted = DeckVelocity(scene.believe, scene, before.reported_way, lambda: False)
+    assert untrusted.way(scene.now) is None, "what a refused velocity measured is nobody's way"
