@@ -323,6 +323,8 @@ def _cases(args: argparse.Namespace, plan: plans.AnyPlan, store: FolderStore, ta
         flyer, beside = _flyer(args, drawn=False), args.autopilot is not None
         cases = Cases(name, base.scenario, base.settings, perception, model, one.options, flyer, beside)
         failing = [flight for flight in tally.failing if flight["scenario"] == name]
+        if failing:
+            sys.stderr.write(f"campaign: looking for the fewest and weakest faults with which {name} still fails ...\n")
         written += [store.put(file, content) for file, content in cases.of(failing)]
     return written
 

@@ -126,6 +126,8 @@ class Conduct:
         """Sends a message of the ground station."""
         self.station = self.new_station()
         self.silences: list[Silence] = []
+        self._silence: Silence | None = None
+        """The one that goes on; None while the service is there."""
         self._person = SimulatedPerson(faults, by_remote=self._by_remote)
         self._stopped: MonoNs | None = None
         """Instant when the motors stopped."""
@@ -139,7 +141,7 @@ class Conduct:
         height_m = take_off_m(self._scenario) + ground_m
         return GroundStation(self._stack, height_m=height_m, lands_by=lands_by, steers_on=led)
 
-    def on_step(self, body: Body, service: Served) -> None:
+    def on_step(self, body: Body) -> None:
         """Note a step of the physics, and what the vehicle does without a service."""
         if body.flying:
             self._stopped = None
@@ -147,10 +149,13 @@ class Conduct:
             self._stopped = body.at
         if self.kills:
             now_s, height_m = seconds_between(body.started, body.at), body.over_deck_m
-            if not service.gone:
-                self.silences.append(Silence(now_s, body.guidance_phase, height_m))
-            silence = self.silences[-1]
+            if self._silence is None:
+                self._silence = Silence(now_s, body.guidance_phase, height_m)
+                self.silences.append(self._silence)
+            silence = self._silence
             silence.step(now_s - silence.at_s, body.state(), height_m, self.station.mode, len(body.contacts))
+        else:
+            self._silence = None
         if self.station.began is not None:
             self.watch.stepped(body)
 

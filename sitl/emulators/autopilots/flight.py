@@ -276,7 +276,7 @@ class AutopilotFlight:
         self._stepped_at = time.monotonic()
         self.clock.advance(body.step_s)
         if self._service is not None:
-            self.conduct.on_step(body, self._service)
+            self.conduct.on_step(body)
             if self.conduct.kills and not self._service.gone:
                 self._service.kill()
                 self.link.cut = True

@@ -230,6 +230,12 @@ def test_killed_for_good_it_is_left_alone() -> None:
     assert end.ending.as_json()["because"].startswith("hovered without a service")
 
 
+def test_killed_before_its_first_step_it_is_watched_all_the_same() -> None:
+    end = flight_of("px4", faults=(ServiceKilled(at_s=0.0, for_s=1.0),), duration_limit_s=2.0, expect="refuse").fly()
+    (silence,) = end.silences
+    assert silence.phase is None
+
+
 @pytest.mark.hazard("H4", "H5")
 @pytest.mark.timeout(400)
 def test_a_new_service_lands_a_vehicle_that_was_left_on_the_deck_with_its_motors_turning() -> None:

@@ -271,7 +271,7 @@ class StandInFlight:
         program.report()
         body.step(motors)
         now = self.clock.t = after(self.clock.t, STEP_S)
-        self.conduct.on_step(body, self)
+        self.conduct.on_step(body)
         if self.conduct.kills and not self.gone:
             self.gone = self.link.cut = True
         self.link.deliver()
