@@ -8,6 +8,8 @@ from estimator.contracts.errors import SetupImpossible
 CURE = "build it: `make core` in a checkout, or install decklander again"
 
 try:
-    from estimator.core import abi as abi
+    import estimator.core.abi  # noqa: F401 - `from estimator.core import abi` would hide a missing module behind a circular import
 except ModuleNotFoundError as why:
-    raise SetupImpossible(f"the native core is not built ({why}); {CURE}") from why
+    if why.name != f"{__name__}.abi":
+        raise
+    raise SetupImpossible(f"the native core is not built ({why}); {CURE}") from None

@@ -86,14 +86,16 @@ def test_a_library_without_the_core_in_it_is_refused(tmp_path: Path) -> None:
         Door(abi, str(tmp_path / "empty.so"))
 
 
-def test_the_command_line_says_the_cure_in_one_line(tmp_path: Path) -> None:
-    shutil.copytree(ROOT / "estimator", tmp_path / "estimator", ignore=shutil.ignore_patterns("*.so*", "__pycache__"))
+@pytest.mark.parametrize("unbuilt", ["*.so*", "abi.py"])
+def test_the_command_line_says_the_cure_in_one_line(unbuilt: str, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "estimator", tmp_path / "estimator", ignore=shutil.ignore_patterns(unbuilt, "__pycache__"))
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from companion.cli.main import main; sys.exit(main(sys.argv[1:]))"
     output = subprocess.run(
         [sys.executable, "-c", code, "simulate", "calm"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert output.returncode == 1
     assert "make core" in output.stderr
+    assert "circular import" not in output.stderr
     assert len(output.stderr.splitlines()) == 1, output.stderr
 
 
