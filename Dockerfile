@@ -14,7 +14,7 @@ COPY companion companion
 COPY drivers drivers
 COPY estimator estimator
 COPY sitl sitl
-COPY study study
+COPY decklander decklander
 COPY configs configs
 COPY supply supply
 RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \

@@ -27,7 +27,7 @@ from benches.options import parsed
 
 ROOT = Path(__file__).parents[1]
 LIMITS = Path(__file__).with_suffix(".toml")
-PRODUCT = ("companion/", "drivers/", "estimator/", "sitl/")
+PRODUCT = ("companion/", "decklander/", "drivers/", "estimator/", "sitl/")
 AROUND = ("benches/", "fuzz/", "mutants/", "supply/")
 CODE = (".py", ".c", ".h", ".js", ".css")
 PARAMETERS_MAX = 8
@@ -74,7 +74,7 @@ class Tree:
     def code_lines(self) -> Counter[str | None]:
         """The lines of code of what flies, of each capability, and of all else."""
         found = Counter[str | None]()
-        for path, text in self.under(*PRODUCT, "study/").items():
+        for path, text in self.under(*PRODUCT).items():
             tree = self.modules.get(_dotted(path)) or ast.parse(text) if path.endswith(".py") else None
             found[counts.owner(path)] += counts.code_lines(text, tree)
         return found

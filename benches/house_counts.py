@@ -27,16 +27,17 @@ OWNERS: Mapping[str, tuple[str, ...]] = {
     "ROS 2": ("companion/cli/ros2.py", "companion/tools/ros2/", "drivers/camera/ros2.py", "drivers/ros2.py"),
     "Foxglove": ("companion/parts/live/",),
     "gamepad": ("companion/cli/gamepad.py", "companion/parts/gamepad/", "drivers/gamepad/"),
-    "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "study/perception/"),
+    "campaigns and studies": ("companion/cli/campaign.py", "sitl/campaign/", "sitl/study/perception/"),
     "pads from pictures, printing": ("companion/cli/pad.py", "companion/tools/pads/", "companion/tools/print_pad/"),
     "imports of others' files": ("companion/cli/config_import.py", "companion/tools/others_settings.py", "drivers/imports/"),
     "learned parts": (
         "companion/cli/train.py", "companion/guidance/law/policy.py", "companion/tools/second_opinion.py",
-        "estimator/vision/learned/", "sitl/core/training/", "study/gym/",
+        "estimator/vision/learned/", "sitl/core/training/", "sitl/study/gym/",
     ),
     "thesis": (
         "companion/cli/experiments.py", "companion/guidance/thesis.py", "estimator/constant_velocity.py",
-        "estimator/dead_reckoning.py", "estimator/vision/thesis/", "estimator/vision/track/by_thesis.py", "study/experiments/",
+        "estimator/dead_reckoning.py", "estimator/vision/thesis/", "estimator/vision/track/by_thesis.py",
+        "sitl/study/experiments/",
     ),
 }  # fmt: skip
 """Beginnings of the paths of what flies and of each capability; the longest one that fits has the file."""

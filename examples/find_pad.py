@@ -2,16 +2,14 @@
 
 import sys
 import tomllib
-from importlib.resources import files
 
 import cv2
 
-from estimator import Camera, Pad, PadTracker
+from decklander import Camera, Pad, PadTracker, shipped
 
-configs = files("configs")
-camera = Camera.from_mapping(tomllib.loads(configs.joinpath("cameras/sim.toml").read_text()))
-pad = Pad.from_mapping(tomllib.loads(configs.joinpath("pads/thesis.toml").read_text()))
-image = cv2.imread(sys.argv[1] if len(sys.argv) > 1 else str(configs.joinpath("examples/pad.jpg")))
+camera = Camera.from_mapping(tomllib.loads(shipped("cameras/sim.toml").read_text()))
+pad = Pad.from_mapping(tomllib.loads(shipped("pads/thesis.toml").read_text()))
+image = cv2.imread(sys.argv[1] if len(sys.argv) > 1 else str(shipped("examples/pad.jpg")))
 if image is None:
     sys.exit("the file is no image that OpenCV reads")
 found = PadTracker(camera, pad, colours="simulator").track(image)

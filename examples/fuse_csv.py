@@ -2,13 +2,12 @@
 
 import csv
 import sys
-from importlib.resources import files
 
 import numpy as np
 
-from estimator import Attitude, Imu, RelativeEstimator, Rotation, Sighting, Stamp
+from decklander import Attitude, Imu, RelativeEstimator, Rotation, Sighting, Stamp, shipped
 
-path = sys.argv[1] if len(sys.argv) > 1 else str(files("configs").joinpath("examples/landing.csv"))
+path = sys.argv[1] if len(sys.argv) > 1 else str(shipped("examples/landing.csv"))
 estimator, errors_m = RelativeEstimator(), []
 with open(path, newline="") as file:
     for row in csv.reader(file):

@@ -16,7 +16,7 @@ import cv2
 from companion.base.observer import NullObserver, ProcessedFrame
 from companion.guidance.pilot import make_pilot
 from companion.settings.load import load
-from estimator import Attitude, Imu, Sighting
+from decklander import Attitude, Imu, Sighting
 from estimator.contracts.samples import Sample
 from sitl.flight.stepped import new_flight
 from sitl.scenario.scenario import load as load_scenario

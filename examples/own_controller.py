@@ -9,7 +9,7 @@ import sys
 import msgspec
 import numpy as np
 
-from estimator import Attitude, Imu, PadTracker, RelativeEstimator, RelativeState, Rotation, Stamp
+from decklander import Attitude, Imu, PadTracker, RelativeEstimator, RelativeState, Rotation, Stamp
 from sitl.scenario.scenario import load
 from sitl.vehicle.vehicle import VehiclePhase
 from sitl.world.world import Stick, World

@@ -23,10 +23,10 @@ from companion.service.daemon import Daemon, DaemonSetup
 from companion.service.vehicle_parts import LinkWithCamera
 from companion.settings.load import camera_model, from_mapping, pad_model
 from companion.settings.model import Settings
+from decklander import Attitude, Imu, Rotation, Stamp
 from drivers.camera.source import VideoSource
 from drivers.clock import SystemClock
 from drivers.mailbox import Latest, Line
-from estimator import Attitude, Imu, Rotation, Stamp
 from estimator.contracts.commands import Command
 from estimator.contracts.motion import G_M_S2
 from estimator.contracts.samples import Frame, Sample

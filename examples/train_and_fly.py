@@ -13,8 +13,8 @@ from companion.settings.load import response_model
 from sitl.flight.one_flight import fly
 from sitl.scenario.scenario import load
 from sitl.scenario.settings import settings_for
-from study.gym.imitation import AS_HANDED_OVER, Imitation
-from study.gym.training import TrainingWorlds
+from sitl.study.gym.imitation import AS_HANDED_OVER, Imitation
+from sitl.study.gym.training import TrainingWorlds
 
 
 def main(minutes: float, file: Path) -> bool:

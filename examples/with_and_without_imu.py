@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from companion.facts.records import TruthRecord
 from companion.recording.reading import Event, RecordedFrame, instant, open_recording
-from estimator import Attitude, EstimatorOptions, Imu, RelativeEstimator
+from decklander import Attitude, EstimatorOptions, Imu, RelativeEstimator
 
 LEARNS_S, SEEN_S = 4.0, 2.0
 ONE_PAD = replace(EstimatorOptions(), integrity=replace(EstimatorOptions().integrity, pads_apart_m=20.0))

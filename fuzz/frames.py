@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 
 from companion.guidance.pilot import tracker
-from companion.settings.load import SHIPPED, load, read_toml
+from companion.settings.load import load, read_toml
+from decklander.place import SHIPPED
 from drivers.camera.v4l2_frames import FrameLayout, H264Decoder, to_bgr
 from estimator.contracts.estimates import RelativeState, Sighting
 from estimator.contracts.geometry import Rotation

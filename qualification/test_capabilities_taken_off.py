@@ -53,7 +53,7 @@ LEFT_OUT = (
 """Tests of the whole, of benches, documents and packages, which name everything."""
 _IMPORT_ALL = """
 import pkgutil, sys
-for top in ("companion", "drivers", "estimator", "sitl", "study"):
+for top in ("companion", "drivers", "estimator", "sitl"):
     package = __import__(top)
     for module in pkgutil.walk_packages(package.__path__, f"{top}."):
         if module.name.rpartition(".")[2] != "__main__":

@@ -16,7 +16,7 @@ import pytest
 from tests.conftest import SLOW
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("companion", "drivers", "estimator", "sitl", "study")
+PACKAGES = ("companion", "decklander", "drivers", "estimator", "sitl")
 AROUND = ("benches", "configs", "examples", "fuzz", "mutants", "qualification", "supply", "tests")
 DISTRIBUTION_NAMES = {
     "opencv-python-headless": "cv2", "pytest-asyncio": "pytest_asyncio", "pytest-xdist": "xdist",

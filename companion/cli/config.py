@@ -16,9 +16,10 @@ from companion.guidance.mission.machine import PHASES, TABLES
 from companion.guidance.mission.phase import LANDING
 from companion.guidance.mission.rules import Row
 from companion.settings import schema
-from companion.settings.load import SHIPPED, Settings, complete, find_file, from_file, load, read_toml, shipped
+from companion.settings.load import Settings, complete, find_file, from_file, load, read_toml, shipped
 from companion.settings.referenced_files import check_files
 from companion.settings.remarks import not_checked, remarks
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.estimates import Verdict
 from estimator.contracts.tables import next_states

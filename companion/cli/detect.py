@@ -25,9 +25,10 @@ from companion.cli.options import named_wait, option, tell_damage
 from companion.cli.outputs import Kind, check_output, output
 from companion.recording.reading import RecordedFrame, open_recording
 from companion.settings.capabilities import ReadOpinion, offered, require_key
-from companion.settings.load import SHIPPED, find_file, mount_assumed, pad_of_file, read_camera
+from companion.settings.load import find_file, mount_assumed, pad_of_file, read_camera
 from companion.tools.calibrate.guide import files_of
 from companion.tools.report.overlay import Overlay, annotate
+from decklander.place import SHIPPED
 from drivers.camera import images
 from drivers.camera.videos import frames_of, open_video, predicts_frames, video_of
 from drivers.files import Largest, bytes_of, refuse_special

@@ -8,10 +8,11 @@ from typing import Any
 
 from companion.cli.options import check_seed, option, print_result, require_drawing
 from companion.cli.outputs import EXPERIMENTS, output
-from companion.settings.load import SHIPPED, load, pad_of_file, read_camera, write_whole
+from companion.settings.load import load, pad_of_file, read_camera, write_whole
+from decklander.place import SHIPPED
 from estimator.contracts.errors import file_errors
-from study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
-from study.experiments.photographs import read_photographs
+from sitl.study.experiments.chapter5 import QUANTITIES, Chapter5, drifts, fly_chapter, hover_table, lags
+from sitl.study.experiments.photographs import read_photographs
 
 PAGE = "experiments.md"
 _ON_PAD_M = 0.39
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command and return its exit code."""
     check_seed(args)
     require_drawing("experiments")
-    from study.experiments.page import draw, page
+    from sitl.study.experiments.page import draw, page
 
     settings = load(args.config)
     photographs = None

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option(
         parser,
         "--perception-model FILE",
-        "error model of --perception model or truth, from python -m study.perception (default: the shipped one of vision.method)",
+        "error model of --perception model or truth, from python -m sitl.study.perception (default: the one of vision.method)",
     )
     others = ", ".join(name for name in shipped("vehicles") if name != ARDRONE)
     flown = (

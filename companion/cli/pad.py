@@ -23,7 +23,7 @@ from aiohttp import web
 from companion.cli import board_option
 from companion.cli.options import WorkProgress, named_wait, option, print_result
 from companion.cli.outputs import PAD_FILE, PREVIEW, SHEETS, check_output, output
-from companion.settings.load import SHIPPED, find_file, pad_of_file, read_camera, read_text, shipped, write_whole
+from companion.settings.load import find_file, pad_of_file, read_camera, read_text, shipped, write_whole
 from companion.tools.calibrate.board import BOARDS
 from companion.tools.calibrate.guide import files_of, read_image
 from companion.tools.pad_price import MOUNT, VIEWS, Price, price
@@ -34,6 +34,7 @@ from companion.tools.pads.svg import read_svg
 from companion.tools.pads.trace import Picture, drawn, traced
 from companion.tools.print_pad.sheets import PAPERS, board_drawing, pad_drawing, pdf, sheets, svg
 from companion.tools.tag_pad import file_text
+from decklander.place import SHIPPED
 from drivers.camera import images
 from drivers.extras import require
 from drivers.files import Largest, bytes_of

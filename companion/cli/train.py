@@ -19,8 +19,8 @@ from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput, refused
 from sitl.scenario.scenario import load
 from sitl.scenario.settings import settings_for
-from study.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
-from study.gym.training import TrainingWorlds
+from sitl.study.gym.imitation import AS_HANDED_OVER, EpisodesFlown, Imitation, ImitationOptions, RoundProgress, fly_policy
+from sitl.study.gym.training import TrainingWorlds
 
 _FRESH = 1_000_000
 """Seeds of the flights that examine a policy begin here; training counts on from its own seed, far below."""

@@ -233,7 +233,7 @@ CAPABILITIES = (
     Capability(
         "learned parts",
         "rl",
-        "study.gym",
+        "sitl.study.gym",
         keys=("guidance.controller=policy", "vision.learned=second_opinion"),
         references="companion.tools.second_opinion:references",
         controllers={"policy": "companion.guidance.law.policy:make_policy"},
@@ -243,7 +243,7 @@ CAPABILITIES = (
     Capability(
         "the thesis",
         "compare",
-        "study.experiments",
+        "sitl.study.experiments",
         keys=(
             "guidance.mission=thesis",
             "vision.method=thesis",

@@ -21,11 +21,11 @@ from typing import Any, TypeVar
 
 import msgspec
 
-import configs
 from companion.settings.capabilities import vehicle_kind
 from companion.settings.files import CREDENTIAL
 from companion.settings.guidance import Response, response_from_mapping
 from companion.settings.model import PadSettings, Settings, in_file, joined, model_with
+from decklander.place import SHIPPED
 from drivers.files import Largest, bytes_of
 from drivers.vehicle import VehicleOptions
 from estimator.attitude_history import DOWN
@@ -51,7 +51,6 @@ _QUOTED = r"'([^']*)'"
 _TUPLE = re.compile(rf"\((?:{_QUOTED},? ?)+\)")
 """A table's name in Python's words."""
 _Table = TypeVar("_Table", bound=msgspec.Struct)
-SHIPPED = Path(configs.__file__).parent
 KINDS = {
     "vehicle.kind": "a settings file: give it by --config",
     "fx": "a camera file: settings and scenarios name it as camera.file",

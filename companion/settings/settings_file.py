@@ -6,7 +6,8 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from companion.settings.load import SHIPPED, read_text, write_whole
+from companion.settings.load import read_text, write_whole
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput, refused
 
 BEFORE = ".before"

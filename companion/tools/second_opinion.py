@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from companion.settings.capabilities import Reference
-from companion.settings.load import SHIPPED
 from companion.settings.model import Settings
+from decklander.place import SHIPPED
 from drivers.files import Largest, bytes_of
 from estimator.contracts.errors import BadInput
 from estimator.vision.learned.second_opinion import SecondOpinion

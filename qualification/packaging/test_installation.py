@@ -100,11 +100,16 @@ def test_wheel_and_source_archive_hold_what_they_should(tmp_path: Path, monkeypa
         "estimator/core/base/kalman.c",
     } <= set(names)
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
-    assert tops == {"companion", "drivers", "estimator", "sitl", "study", "configs"}
+    assert tops == {"companion", "decklander", "drivers", "estimator", "sitl"}
     assert [name for name in names if "/test_" in name] == []
     python = {path.relative_to(source).as_posix() for top in tops for path in (source / top).rglob("*.py")}
     assert python <= set(names)
-    assert {"companion/tools/report/style.css", "configs/sim.toml", "estimator/py.typed"} <= set(names)
+    assert {
+        "companion/tools/report/style.css",
+        "decklander/configs/sim.toml",
+        "decklander/py.typed",
+        "estimator/py.typed",
+    } <= set(names)
     with tarfile.open(archive) as opened:
         inside = {name.split("/", 1)[1] for name in opened.getnames()}
     assert {

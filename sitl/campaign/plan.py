@@ -21,13 +21,14 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 
-from companion.settings.load import SHIPPED, read_toml, shipped
 from companion.settings.load import camera_model as camera_of_settings
 from companion.settings.load import from_mapping as settings_from_mapping
 from companion.settings.load import pad_model as pad_of_settings
+from companion.settings.load import read_toml, shipped
 from companion.settings.model import Settings
 from companion.settings.overrides import Value, finite, leaves, plain
 from companion.settings.schema import explain
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput, refused
 from estimator.contracts.keys import choice, text
 from sitl.flight.one_flight import Perception, perception_level
@@ -191,7 +192,7 @@ def _path_of(name_or_path: str) -> Path:
     return SHIPPED / _FOLDER / f"{name_or_path}.toml" if name_or_path in shipped_sets() else Path(name_or_path)
 
 
-_PACKAGES = ("companion", "configs", "drivers", "estimator", "sitl")
+_PACKAGES = ("companion", "drivers", "estimator", "sitl")
 _SOURCES = (".py", ".toml", ".npz", ".c", ".h")
 
 
@@ -210,8 +211,8 @@ def code_version() -> dict[str, str]:
 def sources_digest() -> str:
     """Return a digest of the names and contents of all source files of the installed packages."""
     digest = hashlib.blake2b(digest_size=16)
-    for package in _PACKAGES:
-        root = Path(next(iter(import_module(package).__path__)))
+    roots = {package: Path(next(iter(import_module(package).__path__))) for package in _PACKAGES}
+    for package, root in (roots | {"configs": SHIPPED}).items():
         for path in sorted(root.rglob("*")):
             if path.suffix in _SOURCES:
                 content = path.read_bytes()

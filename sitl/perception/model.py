@@ -355,8 +355,8 @@ def model_for(settings: Settings, given: PerceptionModel | None) -> PerceptionMo
             given = load(method)
         except BadInput as why:
             raise BadInput(
-                f'there is no error model of vision.method "{method}": fit one with python -m study.perception and name it with '
-                "--perception-model"
+                f'there is no error model of vision.method "{method}": fit one with python -m sitl.study.perception and name it '
+                "with --perception-model"
             ) from why
     if given.method != method:
         raise BadInput(f'the error model is of vision.method "{given.method}", the settings have "{method}"')

@@ -1,4 +1,4 @@
-"""The numbers of the error models, as a file holds them: configs/perception/*.toml, written by `python -m study.perception`."""
+"""The numbers of the error models, as a file holds them: configs/perception/*.toml, by `python -m sitl.study.perception`."""
 
 import json
 from functools import lru_cache
@@ -140,7 +140,7 @@ def _read(path: Path, changed_ns: int) -> PerceptionModel:
     """Return the model in a file that was last changed at this time; the flights of one process read it once."""
     data = read_toml(path)
     if data.get("format") != FORMAT:
-        raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit it again with python -m study.perception")
+        raise BadInput(f"{path}: format {data.get('format')!r} is not {FORMAT}: fit again with python -m sitl.study.perception")
     with refused(str(path), msgspec.ValidationError):
         model = msgspec.convert(data, PerceptionModel, strict=True)
     _check(model, path)
@@ -174,7 +174,7 @@ def _check(model: PerceptionModel, path: Path) -> None:
 
 def dump(model: PerceptionModel) -> str:
     """Return the text of a model's file."""
-    lines = ["# Written by `python -m study.perception`. Fit it again rather than editing it.", ""]
+    lines = ["# Written by `python -m sitl.study.perception`. Fit it again rather than editing it.", ""]
     lines += [f"format = {model.format}", f"method = {_value(model.method)}", "recordings = ["]
     lines += [f"    {_value(name)}," for name in model.recordings] + ["]"]
     return "\n".join(lines + _table("[detection]", model.detection) + _table("[estimate]", model.estimate)) + "\n"

@@ -19,8 +19,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from companion.settings.load import SHIPPED, pad_of_file, read_camera, read_toml, shipped
+from companion.settings.load import pad_of_file, read_camera, read_toml, shipped
 from companion.settings.schema import explain
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from estimator.contracts.keys import choice, number, text
 from estimator.contracts.motion import G_M_S2

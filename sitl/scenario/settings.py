@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from msgspec import Struct, structs
 
 from companion.settings.capabilities import CAPABILITIES
-from companion.settings.load import SHIPPED, from_file, load, read_toml
+from companion.settings.load import from_file, load, read_toml
 from companion.settings.model import PadSettings, Settings, in_file
 from companion.settings.overrides import leaves, plain
 from companion.settings.vessel import VesselOptions
+from decklander.place import SHIPPED
 from drivers.mavlink.options import SIMULATED_LINK, autopilot_of
 from estimator.contracts.errors import BadInput, refused
 from sitl.scenario.scenario import Scenario, vehicle_model

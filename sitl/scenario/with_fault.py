@@ -12,7 +12,8 @@ from textwrap import shorten
 import msgspec
 import numpy as np
 
-from companion.settings.load import SHIPPED, shipped
+from companion.settings.load import shipped
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.faults.drawn import Drawable, draw
 from sitl.faults.kinds import AnyFault, OperatorActs, ServiceKilled, VesselReports

@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field, structs
 
-from companion.settings.load import SHIPPED, read_toml
+from companion.settings.load import read_toml
 from companion.settings.schema import explain
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64
 from estimator.contracts.keys import choice, number, text

@@ -14,7 +14,7 @@ import pytest
 from companion.cli.calibrate_flight import with_values
 from companion.cli.main import main
 from companion.guidance.pilot import estimator_options, with_mount
-from companion.settings.load import SHIPPED, load
+from companion.settings.load import load
 from companion.settings.model import CameraSettings, Settings
 from companion.tools.calibrate.board import Board, BoardView, Collection
 from companion.tools.calibrate.flight_result import flight_result
@@ -22,6 +22,7 @@ from companion.tools.calibrate.guide import Guide, GuideState, assess, missing_b
 from companion.tools.calibrate.gyro_attitude import exp, exps
 from companion.tools.calibrate.mount_fit import DELAY, MOUNT, READOUT, fit_mount
 from companion.tools.calibrate.solve import distance_errors, solve
+from decklander.place import SHIPPED
 from drivers.ardrone.options import ardrone_options
 from drivers.camera.options import CameraOptions
 from estimator.contracts.errors import BadInput, Recoverable

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from companion.service.vehicle_parts import with_camera
-from companion.settings.load import SHIPPED, lens_assumed, load, mount_assumed, read_camera
+from companion.settings.load import lens_assumed, load, mount_assumed, read_camera
 from companion.settings.remarks import remarks
 from companion.tools.calibrate.camera_file import FOREIGN, foreign
 from companion.tools.doctor.gather_service import files_of
+from decklander.place import SHIPPED
 from drivers.camera.options import CameraOptions
 from drivers.clock import SystemClock
 from estimator.contracts.commands import Hover

@@ -184,7 +184,7 @@ def test_settings_that_want_what_is_not_installed_are_refused_in_a_line_that_say
 def test_a_flight_that_wants_the_thesis_is_refused_without_it(word: str, monkeypatch: pytest.MonkeyPatch) -> None:
     wanting = with_overrides(SIM, [word], "--set")
     make_pilot(wanting)
-    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != "study.experiments")
+    monkeypatch.setattr(capabilities, "is_installed", lambda name: name != "sitl.study.experiments")
     for module in ("estimator.pipeline", "estimator.vision.track.config"):
         monkeypatch.setattr(f"{module}.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=rf"{word.partition('=')[2]}\W*needs .* the extra decklander\[compare\]$"):

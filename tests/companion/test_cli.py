@@ -36,6 +36,7 @@ from companion.service.daemon import Daemon, DaemonSetup
 from companion.settings.capabilities import Command
 from companion.settings.guidance import GuidanceOptions
 from companion.settings.load import load
+from decklander.place import PACKAGES
 from drivers.reconnect import BackOff
 from estimator.contracts.errors import BadInput, Recoverable, SetupImpossible
 from estimator.contracts.time import MonoNs
@@ -460,14 +461,37 @@ def test_without_pyav_a_pixhawk_and_a_webcam_work_and_other_video_is_refused_by_
     assert "Traceback" not in printed
 
 
-def test_folders_of_our_names_on_the_python_path_of_a_robot_hide_nothing(tmp_path: Path) -> None:
-    for name in ("configs", "drivers", "estimator", "sitl", "study"):
+def robots(tmp_path: Path) -> dict[str, str]:
+    """Return the environment of a robot whose workspace has folders of our names."""
+    for name in (*PACKAGES, "configs", "study"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
+    return {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+
+
+def test_folders_of_our_names_on_the_python_path_of_a_robot_hide_nothing(tmp_path: Path) -> None:
+    environment = robots(tmp_path)
     child = "subprocess.run([sys.executable, '-P', '-c', 'import drivers.files'], check=True)"
-    probe = f"import subprocess, sys\nfrom companion.cli.main import main\nassert main(['config', 'check', 'sim']) == 0\n{child}"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
-    subprocess.run([sys.executable, "-c", probe], timeout=240, env=environment, check=True)
+    words = "sys.argv[1:] = ['config', 'check', 'sim']"
+    probe = f"import subprocess, sys\nfrom decklander.__main__ import main\n{words}\nassert main() == 0\n{child}"
+    subprocess.run([sys.executable, "-P", "-c", probe], timeout=240, env=environment, check=True)
+    face = "from decklander import PadTracker, shipped\nimport drivers\nprint(drivers.__file__, shipped('sim.toml').is_file())"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", face], timeout=240, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(tmp_path / "drivers/__init__.py"), "True"], "the face takes what it needs, and no more"
+
+
+def test_a_foreign_package_that_is_imported_already_is_named_in_one_line(tmp_path: Path) -> None:
+    environment = robots(tmp_path)
+    for probe in ("from decklander.__main__ import main\nsys.exit(main())", "from decklander import Pad"):
+        program = f"import sys, estimator\n{probe}"
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", program], timeout=240, env=environment, capture_output=True, text=True, check=False
+        )
+        last = done.stderr.splitlines()[-1]
+        assert re.search(rf"a package 'estimator' of {re.escape(str(tmp_path))}.* is imported already", last), done.stderr
+        assert done.returncode != 0
 
 
 def test_a_name_that_the_terminal_s_encoding_lacks_is_refused_and_no_traceback(tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from companion.guidance.law.pid import PidController
 from companion.guidance.law.policy import PolicyController
 from companion.guidance.pilot import field_of_view, law_of, make_pilot
 from companion.settings.guidance import GuidanceOptions, response_from_mapping
-from companion.settings.load import SHIPPED, camera_model, from_mapping, load, read_toml, response_model
+from companion.settings.load import camera_model, from_mapping, load, read_toml, response_model
+from decklander.place import SHIPPED
 from estimator.contracts.commands import Command, Hover, Lean, Velocity
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import Rotation, Transform

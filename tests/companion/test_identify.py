@@ -23,8 +23,9 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording.mcap_file import Attachment
 from companion.recording.reading import open_recording
 from companion.settings.guidance import TiltResponse, response_from_mapping
-from companion.settings.load import SHIPPED, camera_model, shipped_response
+from companion.settings.load import camera_model, shipped_response
 from companion.tools.calibrate.flight_views import flown_courses
+from decklander.place import SHIPPED
 from estimator.contracts.commands import Lean, Velocity
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

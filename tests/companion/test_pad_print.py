@@ -13,9 +13,10 @@ import pytest
 from numpy.typing import NDArray
 
 from companion.cli.main import main
-from companion.settings.load import SHIPPED, read_toml
+from companion.settings.load import read_toml
 from companion.tools.calibrate.board import Board
 from companion.tools.print_pad.sheets import Disc, Polygon, board_drawing, pad_drawing, sheets
+from decklander.place import SHIPPED
 from estimator.vision.pad.pad import Pad
 from tests.support.shipped import shipped_pad
 

@@ -30,12 +30,13 @@ from companion.parts.recorder.setup import about, recorder_to_file
 from companion.recording import decode
 from companion.recording.reading import open_recording
 from companion.recording.rewriting import Cut, rewrite
-from companion.settings.load import SHIPPED, camera_model, pad_of_file, read_camera
+from companion.settings.load import camera_model, pad_of_file, read_camera
 from companion.tools.replay.engine import Replay, pilot_of
 from companion.tools.replay.recorded_log import differences, log_of, recorded_beliefs
 from companion.tools.report.figures import innovation_series
 from companion.tools.report.flight_log import FlightLog
 from companion.tools.report.page import render
+from decklander.place import SHIPPED
 from estimator.contracts.commands import Land
 from estimator.contracts.estimates import COMPONENTS, FusionResult, Verdict
 from estimator.contracts.time import MonoNs

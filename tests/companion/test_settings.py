@@ -22,7 +22,6 @@ from companion.parts.mavlink.bridge.options import BridgeOptions
 from companion.parts.mavlink.signed_links import signed_links
 from companion.settings import schema
 from companion.settings.load import (
-    SHIPPED,
     camera_model,
     complete,
     from_file,
@@ -37,6 +36,7 @@ from companion.settings.model import Settings, in_file
 from companion.settings.remarks import remarks, without_effect
 from companion.settings.schema import unit_of, walk
 from companion.settings.sound import SOUND, Sound, beyond_sound, rim_m
+from decklander.place import SHIPPED
 from drivers.mavlink.options import AutopilotOptions, autopilot_of
 from estimator.contracts.address import masked, raw
 from estimator.contracts.errors import BadInput

@@ -14,8 +14,9 @@ from msgspec import structs
 
 from companion.parts.mqtt.options import MqttSettings
 from companion.service.sole_service import sole_service
-from companion.settings.load import SHIPPED, load
+from companion.settings.load import load
 from companion.settings.model import Settings
+from decklander.place import SHIPPED
 from drivers.ardrone.options import ArDroneOptions
 from drivers.mavlink.options import AutopilotOptions
 from estimator.contracts.errors import BadInput

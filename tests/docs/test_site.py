@@ -128,7 +128,7 @@ def test_the_safety_case_is_that_of_the_marks() -> None:
 
 
 TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
-PACKAGES = "companion|drivers|estimator|sitl|study|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
+PACKAGES = "companion|drivers|estimator|sitl|configs|tests|benches|fuzz|mutants|supply|requirements|qualification"
 FOREIGN_OPTIONS = {"--scale", "--user", "--offline", "--profile", "--require-hashes", "--list-ctrls-menus", "--cafile"}
 """Options of systemctl, systemd-analyze, docker, pip, v4l2-ctl and mosquitto_pub."""
 ENDINGS = {"toml", "py", "md", "txt", "json", "csv", "png", "svg", "html"}

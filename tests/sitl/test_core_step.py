@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from companion.settings.load import SHIPPED
+from decklander.place import SHIPPED
 from estimator.contracts.geometry import F64, Rotation
 from estimator.core.library import Door
 from sitl.core import abi

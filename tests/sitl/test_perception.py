@@ -24,10 +24,10 @@ from sitl.perception.model import Chance, DetectionTable, View, Viewer, _turned,
 from sitl.perception.port import LEVELS, Level
 from sitl.scenario.scenario import load as load_scenario
 from sitl.scenario.settings import settings_for
+from sitl.study.perception import recorded as samples_module
+from sitl.study.perception.__main__ import main as fit_files
+from sitl.study.perception.fit import Errors, Source, fit_detections, fit_estimates
 from sitl.world.world import World
-from study.perception import recorded as samples_module
-from study.perception.__main__ import main as fit_files
-from study.perception.fit import Errors, Source, fit_detections, fit_estimates
 from tests.fly import ObservedCalls, fly_for
 
 SIM = load("sim")

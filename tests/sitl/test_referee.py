@@ -15,8 +15,8 @@ from companion.base.mission import FlightOutcome, State
 from companion.base.orders import StickPositions
 from companion.guidance.operator.arbiter import BY_HAND
 from companion.settings.guidance import GuidanceOptions, PidOptions
-from companion.settings.load import SHIPPED
 from companion.settings.load import load as load_settings
+from decklander.place import SHIPPED
 from drivers.ardrone.at import REF_BASE, REF_EMERGENCY, REF_TAKE_OFF, ComWdg, Pcmd, Ref
 from drivers.mavlink.codec import Codec
 from drivers.mavlink.dialect import Message, mav

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from companion.settings.load import SHIPPED, response_model, shipped, shipped_response
+from companion.settings.load import response_model, shipped, shipped_response
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from estimator.contracts.motion import G_M_S2

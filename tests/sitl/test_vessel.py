@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.settings.load import SHIPPED, shipped
+from companion.settings.load import shipped
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, Rotation
 from sitl.scenario.scenario import load as load_scenario

@@ -19,14 +19,14 @@ from companion.guidance.law.policy import STEP_S
 from companion.settings.load import load as load_settings
 from estimator.contracts.errors import BadInput
 from sitl.scenario.scenario import load
+from sitl.study.experiments.chapter5 import error_of, spread
+from sitl.study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
+from sitl.study.experiments.hand import HeldPose, hold, level_axes, thesis_axes, thesis_yaw_rad
+from sitl.study.experiments.page import in_html
+from sitl.study.gym.environment import LandEnv, LandVectorEnv, weighted
+from sitl.study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 from sitl.world.stage import sea_and_vessel
 from sitl.world.world import World
-from study.experiments.chapter5 import error_of, spread
-from study.experiments.flown import Estimate, ExperimentFlight, calm_scenario, fly_by_hand
-from study.experiments.hand import HeldPose, hold, level_axes, thesis_axes, thesis_yaw_rad
-from study.experiments.page import in_html
-from study.gym.environment import LandEnv, LandVectorEnv, weighted
-from study.gym.training import ENDS, TERMS, TrainingOptions, TrainingWorlds
 
 
 def towards_pad(seen: np.ndarray, full_m_s2: float) -> np.ndarray:
@@ -124,9 +124,9 @@ def test_gymnasium_s_checker_finds_nothing(options: dict[str, str], recwarn: pyt
 @pytest.mark.parametrize(
     "line",
     [
-        "import gymnasium; gymnasium.make('study.gym:Decklander/Land-v0')",
-        "import gymnasium, study.gym; gymnasium.make('Decklander/Land-v0'); study.gym.register()",
-        "import gymnasium, study.gym; gymnasium.make_vec('Decklander/Land-v0', 2, vectorization_mode='vector_entry_point')",
+        "import gymnasium; gymnasium.make('sitl.study.gym:Decklander/Land-v0')",
+        "import gymnasium, sitl.study.gym; gymnasium.make('Decklander/Land-v0'); sitl.study.gym.register()",
+        "import gymnasium, sitl.study.gym; gymnasium.make_vec('Decklander/Land-v0', 2, vectorization_mode='vector_entry_point')",
     ],
 )
 def test_a_plain_import_or_the_package_in_the_name_is_enough(line: str) -> None:

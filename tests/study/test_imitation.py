@@ -15,8 +15,8 @@ from companion.settings.load import response_model
 from estimator.contracts.errors import BadInput
 from sitl.scenario.scenario import load
 from sitl.scenario.settings import settings_for
-from study.gym.imitation import Imitation, ImitationOptions, Teacher, _backward, _network, fly_policy, tally
-from study.gym.training import TrainingOptions, TrainingWorlds
+from sitl.study.gym.imitation import Imitation, ImitationOptions, Teacher, _backward, _network, fly_policy, tally
+from sitl.study.gym.training import TrainingOptions, TrainingWorlds
 
 SCENARIO = load("weather_3")
 RESPONSE = response_model(settings_for(SCENARIO, None))

@@ -1,6 +1,6 @@
 """The controller `policy`: a small trained network leans the vehicle, and the law does the rest.
 
-`decklander train` makes the network's file in training worlds (`study.gym`), and the controller flies it, both by numpy alone.
+`decklander train` makes the network's file in training worlds (`sitl.study.gym`), the controller flies it, both by numpy alone.
 The mission orders each descent, so heights, climbs and heading stay the law's, and so does all where the estimator path knows no
 motion of body or deck. The network's lean is cut as the law's is: by the view, by the vehicle's tilt, and by the target.
 """
@@ -19,7 +19,8 @@ from companion.guidance.controller import FieldOfView, Knowledge, Target
 from companion.guidance.law.controllers import ControllerSetup, make_follow_deck
 from companion.guidance.law.follow_deck import FollowDeck, FollowDeckMemory
 from companion.settings.files import unzipped
-from companion.settings.load import SHIPPED, whole
+from companion.settings.load import whole
+from decklander.place import SHIPPED
 from drivers.files import Largest, refuse_special
 from estimator.contracts.commands import Command, Lean
 from estimator.contracts.errors import BadInput, file_errors, unusable

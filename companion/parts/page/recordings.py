@@ -188,7 +188,7 @@ class Recordings(Tool):
     async def _written(self, recording: Path, page: Path) -> str | None:
         """Let a process write a report; return why it did not."""
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "companion.cli.main", "report", str(recording), "--output", str(page),
+            sys.executable, "-m", "decklander", "report", str(recording), "--output", str(page),
             stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
         )  # fmt: skip
         async with asyncio.TaskGroup() as group:

@@ -14,7 +14,8 @@ from msgspec.structs import replace
 
 from companion.guidance.law.flown_course import course_of, reported_lean, track
 from companion.guidance.law.response_fit import fit_tilt
-from companion.settings.load import SHIPPED, shipped, shipped_response
+from companion.settings.load import shipped, shipped_response
+from decklander.place import SHIPPED
 from drivers.mavlink.dialect import Message, mav
 from drivers.mavlink.setpoint import level_setpoint, velocity_setpoint
 from drivers.mavlink.vehicle import Stack, set_mode

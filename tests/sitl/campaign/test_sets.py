@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.cli import main as cli
-from companion.settings.load import SHIPPED
+from decklander.place import SHIPPED
 from estimator.contracts.errors import BadInput
 from sitl.campaign import random_faults
 from sitl.campaign.plan import digest_of, is_set, load_set, make_plan, shipped_sets

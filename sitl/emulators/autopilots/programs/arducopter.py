@@ -19,7 +19,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from companion.settings.load import SHIPPED, read_text
+from companion.settings.load import read_text
+from decklander.place import SHIPPED
 from drivers.mailbox import Latest
 from drivers.mavlink.dialect import Message, mav
 from estimator.contracts.geometry import wrap_pi

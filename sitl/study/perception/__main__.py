@@ -1,4 +1,4 @@
-"""Fit the error models that `simulate --perception model` and `truth` fly by: `python -m study.perception`.
+"""Fit the error models that `simulate --perception model` and `truth` fly by: `python -m sitl.study.perception`.
 
 They are fitted to flights that `decklander simulate --record` recorded with --perception pixels. The more heights, tilts and
 lights these hold, the wider the models reach.
@@ -13,13 +13,13 @@ from companion.settings.load import write_whole
 from estimator.contracts.errors import BadInput
 from sitl.perception.model import symmetric
 from sitl.perception.parameters import PerceptionModel, dump
-from study.perception.fit import fit
-from study.perception.recorded import read
+from sitl.study.perception.fit import fit
+from sitl.study.perception.recorded import read
 
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command; one that cannot fit ends with the reason."""
-    parser = argparse.ArgumentParser("python -m study.perception", description=__doc__)
+    parser = argparse.ArgumentParser("python -m sitl.study.perception", description=__doc__)
     parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="recording of one simulated flight")
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write (TOML)")
     args = parser.parse_args(argv)
@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> None:
         model = fit([read(path) for path in args.recordings])
         write_whole(args.output, dump(model))
     except (BadInput, OSError) as why:
-        sys.exit(f"python -m study.perception: {why}")
+        sys.exit(f"python -m sitl.study.perception: {why}")
     print(f"{_table(model)}\nwritten: {args.output}")
 
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from companion.base.version import MARK
 from companion.recording.palette import MARKERS, OTHER, colour
 from estimator.contracts.geometry import wrap_pi
-from study.experiments.chapter5 import (
+from sitl.study.experiments.chapter5 import (
     HEIGHTS_M,
     QUANTITIES,
     Chapter5,
@@ -37,8 +37,8 @@ from study.experiments.chapter5 import (
     printed,
     spread,
 )
-from study.experiments.flown import METHODS, ExperimentFlight
-from study.experiments.photographs import Photographs
+from sitl.study.experiments.flown import METHODS, ExperimentFlight
+from sitl.study.experiments.photographs import Photographs
 
 _TITLES = {
     "x": "Table 5.1, error of x, mm",

@@ -19,7 +19,7 @@ import numpy as np
 from estimator.contracts.errors import BadInput
 from estimator.contracts.geometry import F64, wrap_pi
 from sitl.perception.parameters import FORMAT, DetectionCell, DetectionModel, EstimateCell, EstimateModel, Factor, PerceptionModel
-from study.perception.recorded import DetectionSample, Measured, Recorded, detection_samples
+from sitl.study.perception.recorded import DetectionSample, Measured, Recorded, detection_samples
 
 _ESTIMATE_HEIGHTS_M = (0.2, 0.35, 0.5, 0.8, 1.3, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0, 22.0)
 AGES_S = (0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 5.0)

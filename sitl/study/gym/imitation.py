@@ -18,7 +18,7 @@ from companion.guidance.law.gains import TiltGains, TiltWeights, tilt_gains
 from companion.guidance.law.policy import ACTIONS, ARRAYS, F32, OBSERVED, STEP_S, Policy, forward, normal
 from companion.settings.guidance import Response
 from estimator.contracts.motion import G_M_S2
-from study.gym.training import DOWN_MAX_M_S, ENDS, YAW_RATE_MAX_RAD_S, TrainingOptions, TrainingWorlds
+from sitl.study.gym.training import DOWN_MAX_M_S, ENDS, YAW_RATE_MAX_RAD_S, TrainingOptions, TrainingWorlds
 
 Weights = dict[str, F32]
 F64 = NDArray[np.float64]

@@ -16,8 +16,8 @@ from estimator.contracts.time import MonoNs, seconds_between
 from sitl.flight.ending import Ending
 from sitl.flight.stepped import Timing, new_flight
 from sitl.scenario.scenario import Scenario, load
+from sitl.study.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 from sitl.world.truth import Truth
-from study.experiments.hand import HandPilot, HeldPose, Path, level_axes, thesis_axes, thesis_yaw_rad
 
 METHODS = ("ellipse", "arrow", "corners", "registration", "best")
 """The thesis' three methods as they are here, the fourth, and the estimate that all of them make together."""

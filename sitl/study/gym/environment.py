@@ -1,4 +1,4 @@
-"""The training worlds as Gymnasium environments, which `study.gym` registers."""
+"""The training worlds as Gymnasium environments, which `sitl.study.gym` registers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,8 +17,8 @@ from estimator.contracts.geometry import known_rotation
 from sitl.camera.camera import Exposure
 from sitl.core.abi import DL_ACTION_NUMBERS, DL_VIEW_NUMBERS
 from sitl.scenario.scenario import Scenario, camera_model, load
+from sitl.study.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 from sitl.world.stage import renderer, sea_and_vessel
-from study.gym.training import ENDS, F32, TERMS, WEIGHTS, TrainingOptions, TrainingWorlds
 
 Perception = Literal["model", "truth"]
 Observation = Literal["estimate", "truth", "pixels"]

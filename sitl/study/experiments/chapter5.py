@@ -19,8 +19,8 @@ import numpy as np
 from companion.base.mission import FlightOutcome
 from companion.settings.model import Settings
 from estimator.contracts.geometry import F64, wrap_pi
-from study.experiments.flown import METHODS, Estimate, ExperimentFlight, fly_by_hand, fly_pilot
-from study.experiments.hand import ExternalPilot, HeldPose, around_the_ship, full_turn, hold, up_and_down, way
+from sitl.study.experiments.flown import METHODS, Estimate, ExperimentFlight, fly_by_hand, fly_pilot
+from sitl.study.experiments.hand import ExternalPilot, HeldPose, around_the_ship, full_turn, hold, up_and_down, way
 
 Quantity = Literal["x", "y", "z", "yaw"]
 HEIGHTS_M = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)

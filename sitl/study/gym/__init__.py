@@ -1,7 +1,7 @@
 """The simulated sea as a training ground for controllers that learn (docs/training.md).
 
-`import study.gym` registers `Decklander/Land-v0` where Gymnasium is installed; since 1.0 it finds no package's worlds by itself.
-`gymnasium.make("study.gym:Decklander/Land-v0")` needs no import.
+`import sitl.study.gym` registers `Decklander/Land-v0` where Gymnasium is installed; since 1.0 it finds none by itself.
+`gymnasium.make("sitl.study.gym:Decklander/Land-v0")` needs no import.
 """
 
 from importlib.util import find_spec

@@ -1,1 +1,0 @@
-"""Ready-made settings, cameras and pads, shipped with the package."""
