@@ -9,7 +9,9 @@ RUN python3 -m venv /opt/build \
  && /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/build.txt \
  && python3 -m venv /opt/decklander \
  && /opt/decklander/bin/pip install --no-cache-dir --require-hashes -r requirements/video.txt -r requirements/ship.txt
-COPY pyproject.toml README.md LICENSE ./
+# Git's version is not in here: docker build --build-arg VERSION=$(make -s version).
+ARG VERSION
+COPY pyproject.toml README.md LICENSE PKG-INFO* ./
 COPY companion companion
 COPY drivers drivers
 COPY estimator estimator
@@ -17,7 +19,7 @@ COPY sitl sitl
 COPY decklander decklander
 COPY configs configs
 COPY supply supply
-RUN /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \
+RUN SETUPTOOLS_SCM_PRETEND_VERSION=$VERSION /opt/build/bin/pip wheel --no-cache-dir --no-deps --no-build-isolation --wheel-dir /wheels . \
  && /opt/decklander/bin/pip install --no-cache-dir --no-deps /wheels/decklander-*.whl
 # What nobody here uses goes, and the installer itself.
 RUN sh requirements/slim.sh /opt/decklander \
@@ -44,7 +46,8 @@ WORKDIR /var/lib/decklander
 USER decklander
 # What BlueOS reads of an extension. It starts the container by the permissions, which are the engine's own interface for that: as
 # root without capabilities, since it makes the folder of the settings as root. The page is https, with a token.
-LABEL version="1.0.0"
+ARG VERSION
+LABEL version="$VERSION"
 LABEL type="device-integration"
 LABEL requirements="core >= 1.1"
 LABEL tags='["navigation", "camera", "landing"]'

@@ -14,7 +14,7 @@ LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py
 CORE := $(LIBRARIES) $(BINDINGS)
 
-.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb lint bench docs fuzz mutants sbom licences audit pins release
+.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit pins release
 
 # The core compiles while the packages are fetched.
 demo:
@@ -60,6 +60,10 @@ wheels: $(VENV)/.dev $(VENV)/.compiler
 test-install: deb
 	$(BIN)/python -m qualification.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
 	$(BIN)/python -m qualification.packaging.card --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK)/card)
+
+# What git's tags and commits make of the version; the image's build is given it.
+version: $(VENV)/.runtime
+	@$(BIN)/python -m hatchling version
 
 # A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
 deb: $(VENV)/.supply $(VENV)/.compiler

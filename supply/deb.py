@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import textwrap
-import tomllib
 from datetime import UTC, datetime
 from email.utils import format_datetime
 from pathlib import Path
@@ -110,7 +109,8 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     own = sorted(carried.glob("decklander-*.whl"))
     if len(own) != 1:
         raise PackageError(f"{carried}: {len(own)} wheels of decklander, want one")
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    version = own[0].name.split("-")[1]
+    dated = {"version": debian_version(version), "maintainer": MAINTAINER, "date": _date()}
     for file in sorted(carried.glob("*.whl")):
         _put(folder / CARRIED / file.name, file.read_bytes())
     for name, target in SYSTEM_FILES.items():
@@ -120,7 +120,6 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     _put(folder / SLIM, (ROOT / "requirements/slim.sh").read_bytes())
     _put(folder / _DOC / "copyright", copyright_file((ROOT / "docs/licences.md").read_text()).encode())
     _put(folder / _DOC / "CHANGELOG.md.gz", _gzipped((ROOT / "CHANGELOG.md").read_bytes()))
-    dated = {"version": version, "maintainer": MAINTAINER, "date": _date()}
     _put(folder / _DOC / "changelog.gz", _gzipped(filled("changelog", dated)))
     _put(folder / "usr/share/man/man1/decklander.1.gz", _gzipped(manual(version).encode()))
     _put(folder / _DOC / "sbom.cdx.json.gz", _gzipped(bill))
@@ -132,8 +131,8 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     for name in ("postinst", "prerm", "postrm"):
         _put(folder / "DEBIAN" / name, filled(name, words), 0o755)
     size_kb = sum(-(-path.stat().st_size // 1024) for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    words |= {
-        "version": version, "maintainer": MAINTAINER, "architecture": ARCHITECTURES[architecture], "size_kb": f"{size_kb}",
+    words |= dated | {
+        "architecture": ARCHITECTURES[architecture], "size_kb": f"{size_kb}",
         "python": f"{PYTHON[0]}.{PYTHON[1]}", "next_python": f"{PYTHON[0]}.{PYTHON[1] + 1}",
     }  # fmt: skip
     _put(folder / "DEBIAN/control", filled("control", words))
@@ -186,6 +185,11 @@ def _rows(tables: str) -> list[tuple[str, str, str]]:
 
 def _filled(text: str) -> str:
     return textwrap.fill(text, 76, break_on_hyphens=False)
+
+
+def debian_version(version: str) -> str:
+    """Return a version of Python's packages as dpkg sorts it: 1.1.0.dev7, a step on the way to 1.1.0, is 1.1.0~dev7."""
+    return re.sub(r"\.?(a|b|rc|dev)(?=\d)", r"~\1", version, count=1)
 
 
 def manual(version: str) -> str:

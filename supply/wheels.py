@@ -8,12 +8,12 @@ Source: PEP 600, Future manylinux platform tags.
 import argparse
 import os
 import re
+import shutil
 import struct
 import subprocess
 import sys
 import tarfile
 import tempfile
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -75,11 +75,13 @@ def make_archive(out: Path) -> Path:
     Raises:
         WheelError: it cannot be made.
     """
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(out.resolve())]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise WheelError(f"no source archive: {done.stderr.strip()[-2000:]}")
-    return out / f"decklander-{tomllib.loads((ROOT / 'pyproject.toml').read_text())['project']['version']}.tar.gz"
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", folder]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise WheelError(f"no source archive: {done.stderr.strip()[-2000:]}")
+        (made,) = Path(folder).glob("*.tar.gz")
+        return Path(shutil.move(made, out / made.name))
 
 
 def check_metadata(made: Path) -> None:

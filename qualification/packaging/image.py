@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SUITES = {"debian:bookworm-slim": "bookworm"}
 MIRROR = "http://deb.debian.org/debian"
-_KNOWN = {"RUN", "COPY", "WORKDIR", "ENV", "USER", "HEALTHCHECK", "ENTRYPOINT", "CMD", "LABEL"}
+_KNOWN = {"RUN", "COPY", "WORKDIR", "ENV", "USER", "HEALTHCHECK", "ENTRYPOINT", "CMD", "LABEL", "ARG"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +135,8 @@ class Builder:
         target = words[-1] if words[-1].startswith("/") else f"{image.folder}/{words[-1]}"
         to = image.root / target.lstrip("/")
         for word in words[:-1]:
+            if word.endswith("*") and not [*source.glob(word)]:
+                continue
             origin = source / word.lstrip("/")
             ignored = shutil.ignore_patterns("__pycache__") if source == ROOT else None
             if origin.is_dir():

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from msgspec import NODEFAULT, inspect
+from packaging.version import Version
 
 from companion.base.mission import State
 from companion.cli.commands import COMMANDS
@@ -78,10 +79,16 @@ def test_every_link_leads_to_a_file_and_a_heading() -> None:
     assert broken == []
 
 
-def test_the_changelog_and_the_pages_name_the_version() -> None:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    assert f"\n## {version} - " in (ROOT / "CHANGELOG.md").read_text()
-    assert f"decklander_{version}_arm64.deb" in (DOCS / "installation.md").read_text()
+def test_the_changelog_begins_with_what_comes_and_the_next_version_follows_its_newest() -> None:
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    dated = [re.fullmatch(r"(\d+\.\d+\.\d+) - \d{4}-\d\d-\d\d", heading) for heading in headings[1:]]
+    released = [Version(match[1]) for match in dated if match is not None]
+    assert headings[0] == "Unreleased"
+    assert len(released) == len(headings) - 1
+    assert released == sorted(released, reverse=True)
+    coming = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["version"]["fallback-version"]
+    assert released[0] < Version(coming)
+    assert f"decklander_{released[0]}_arm64.deb" in (DOCS / "installation.md").read_text()
 
 
 PAGE = (DOCS / "operator.md").read_text()

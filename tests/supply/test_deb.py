@@ -21,7 +21,7 @@ from supply import core, deb, wheels
 from supply.deb import PINS, ROOT
 
 needs_dpkg = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="there is no dpkg-deb here")
-OWN = "decklander-1.0.0-py3-none-manylinux_2_17_x86_64.whl"
+OWN = "decklander-1.1.0.dev7+g0a1b2c3-py3-none-manylinux_2_17_x86_64.whl"
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_two_builds_at_different_times_are_the_same_bytes(tmp_path: Path, carrie
 @needs_dpkg
 def test_dpkg_reads_what_the_package_says_of_itself(tmp_path: Path, carried: Path) -> None:
     made = deb.build(staged(tmp_path, carried, "package"), tmp_path, "aarch64")
-    assert made.name == "decklander_1.0.0_arm64.deb"
+    assert made.name == "decklander_1.1.0~dev7+g0a1b2c3_arm64.deb"
     fields = subprocess.run(["dpkg-deb", "--field", str(made)], capture_output=True, text=True, check=True).stdout
     assert re.search(r"^Depends: python3 \(>= 3\.11~\), python3 \(<< 3\.12~\), python3-venv, systemd$", fields, re.MULTILINE)
     listed = subprocess.run(["dpkg-deb", "--contents", str(made)], capture_output=True, text=True, check=True).stdout
