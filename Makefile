@@ -14,7 +14,7 @@ LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py
 CORE := $(LIBRARIES) $(BINDINGS)
 
-.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit pins release
+.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit workflows pins release
 
 # The core compiles while the packages are fetched.
 demo:
@@ -76,6 +76,7 @@ release: export SOURCE_DATE_EPOCH := $(shell git log -1 --format=%ct)
 release: wheels deb sbom docs
 	tar --sort=name --mtime=@$(SOURCE_DATE_EPOCH) --owner=0 --group=0 --numeric-owner -cf - site | gzip -n9 > dist/decklander-site.tar.gz
 	cd dist && sha256sum *.whl *.tar.gz *.deb *.json > SHA256SUMS && sha256sum --check --quiet SHA256SUMS
+	@$(BIN)/python -m supply.release || true
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)
@@ -142,6 +143,15 @@ licences: $(VENV)/.dev
 audit: $(VENV)/.supply
 	@sh supply/audit.sh $(BIN)/pip-audit $(if $(OSV),--vulnerability-service osv --osv-url $(OSV)) $(if $(STRICT),--strict)
 
+# .github and CITATION.cff by their schemas, and the workflows by zizmor's rules; nothing is fetched for it.
+workflows: $(VENV)/.workflows
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/[!c]*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
+	$(BIN)/zizmor --quiet --offline --config .github/zizmor.yml .github
+
 # The service with H.264, which the demo's simulated AR.Drone films in.
 $(VENV)/.runtime: pyproject.toml requirements/build.txt requirements/video.txt | $(BIN)/pip
 	$(INSTALL) requirements/build.txt requirements/video.txt
@@ -166,6 +176,10 @@ $(VENV)/.fuzz: requirements/fuzz.txt $(VENV)/.dev
 
 $(VENV)/.docs: requirements/docs.txt $(VENV)/.dev
 	$(INSTALL) requirements/docs.txt
+	@touch $@
+
+$(VENV)/.workflows: requirements/workflows.txt | $(BIN)/pip
+	$(INSTALL) requirements/workflows.txt
 	@touch $@
 
 $(VENV)/.supply: requirements/supply.txt $(VENV)/.runtime
@@ -214,5 +228,6 @@ pins:
 	$(PIN) --constraint requirements/build.txt --constraint requirements/report.txt --constraint requirements/lab.txt --constraint requirements/ros2.txt --constraint requirements/compare.txt --constraint requirements/rl.txt --constraint requirements/fleet.txt --constraint requirements/ship.txt --constraint requirements/video.txt --extra all --extra dev -o requirements/dev.txt pyproject.toml
 	$(PIN) -o requirements/fuzz.txt requirements/fuzz.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/supply.txt requirements/supply.in
+	$(PIN) --constraint requirements/dev.txt -o requirements/workflows.txt requirements/workflows.in
 	$(PIN) --constraint requirements/dev.txt -o requirements/docs.txt requirements/docs.in
 	$(PIN) -o requirements/compiler.txt requirements/compiler.in

@@ -105,6 +105,8 @@ def check_metadata(made: Path) -> None:
         raise WheelError(f"{made.name}: no description in Markdown")
     if not found.summary or not found.license_expression or found.requires_python is None:
         raise WheelError(f"{made.name}: summary, licence or Python's version is missing")
+    if not found.project_urls or not (found.author or found.author_email):
+        raise WheelError(f"{made.name}: nobody can find the authors or the source by it")
 
 
 def main() -> int:

@@ -187,7 +187,8 @@ def test_another_architecture_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None
 
 GOOD = (
     "Metadata-Version: 2.4\nName: decklander\nVersion: 1.0\nSummary: lands\nLicense-Expression: Apache-2.0\n"
-    "Requires-Python: >=3.11\nDescription-Content-Type: text/markdown\n\n# Text\n"
+    "Requires-Python: >=3.11\nAuthor: A\nProject-URL: Source, https://example.org/a\n"
+    "Description-Content-Type: text/markdown\n\n# Text\n"
 )
 
 
@@ -213,6 +214,8 @@ def test_good_metadata_pass(tmp_path: Path) -> None:
         ("text/markdown", "text/plain", "no description in Markdown"),
         ("# Text", "", "no description in Markdown"),
         ("Summary: lands\n", "", "summary, licence or Python's version is missing"),
+        ("Author: A\n", "", "nobody can find the authors"),
+        ("Project-URL: Source, https://example.org/a\n", "", "nobody can find the authors or the source"),
     ],
 )
 def test_what_an_index_would_refuse_is_refused_here(tmp_path: Path, old: str, new: str, told: str) -> None:
