@@ -206,8 +206,8 @@ $(BIN)/pip: | $(BIN)/python
 
 # Pins every dependency again, by name, version and hash, for all platforms. Needs pip-tools (pipx install pip-tools).
 PIN := pip-compile --quiet --upgrade --generate-hashes --allow-unsafe --strip-extras --no-annotate --no-header --no-config --no-emit-options
-# The extras that every file of pins holds, as each is a package or two: images, the Debian package and `make` install them.
-SMALL := --extra mqtt --extra nmea --extra logs --extra pads
+# The extras that every file of pins holds: images, the Debian package and `make` install them.
+SMALL := --extra service --extra mqtt --extra nmea --extra logs --extra pads
 pins:
 	$(PIN) --only-build-deps --build-deps-for=editable -o requirements/build.txt pyproject.toml
 	$(PIN) --constraint requirements/build.txt $(SMALL) -o requirements/runtime.txt pyproject.toml

@@ -4,8 +4,20 @@ from importlib.util import find_spec
 
 from estimator.contracts.errors import BadInput
 
-_NAMES = {"av": "PyAV", "can": "python-can", "paho": "paho-mqtt", "resvg_py": "resvg-py"}
+_NAMES = {
+    "av": "PyAV",
+    "can": "python-can",
+    "cv2": "OpenCV",
+    "paho": "paho-mqtt",
+    "prometheus_client": "prometheus-client",
+    "resvg_py": "resvg-py",
+    "serial": "pyserial",
+}
 """Names of packages that are not those of their modules."""
+SERVICE = (
+    "aiohttp", "cv2", "lz4", "mcap", "prometheus_client", "pymavlink", "serial", "shtab", "simplejpeg", "tomlkit", "zstandard",
+)  # fmt: skip
+"""The modules of the extra `service`, without which no command runs."""
 
 
 def is_installed(module: str) -> bool:

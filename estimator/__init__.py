@@ -68,10 +68,21 @@ def __getattr__(name: str) -> object:
 
     Raises:
         AttributeError: the name is not public.
+        SetupImpossible: it needs OpenCV, and there is none.
     """
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOME_OF[name]), name)
+    try:
+        value = getattr(import_module(_HOME_OF[name]), name)
+    except ModuleNotFoundError as why:
+        if why.name != "cv2":
+            raise
+        from estimator.contracts.errors import SetupImpossible
+
+        raise SetupImpossible(
+            f"{name} needs OpenCV 4.10 or newer (cv2), which is not installed: any of its distributions serves, "
+            "as opencv-python or the extra decklander[headless]"
+        ) from None
     globals()[name] = value
     return value
 

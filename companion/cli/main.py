@@ -26,6 +26,7 @@ from typing import Any, NoReturn, TextIO
 from companion.base import signals
 from companion.cli.commands import COMMANDS, OWNERS, PACKAGE_GROUP, CommandModule, by_group
 from companion.settings.capabilities import load_offered, of_packages
+from drivers.extras import SERVICE, require
 from estimator.contracts.address import masked
 from estimator.contracts.errors import BadInput, DecklanderError, SetupImpossible, one_line
 
@@ -223,6 +224,7 @@ def _loader_of(parser: Parser, words: Sequence[str], load: Load) -> Callable[[],
             OWNERS[wanted].require(f"decklander {wanted}")
     typed = words[0]
     if typed in COMMANDS:
+        require(f"decklander {typed}", "service", *SERVICE)
         return partial(load, COMMANDS[typed].module)
     offered = of_packages(PACKAGE_GROUP)
     if typed not in offered:

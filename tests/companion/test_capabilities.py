@@ -63,6 +63,32 @@ class Kite(VehicleOptions, frozen=True, forbid_unknown_fields=True, tag_field="k
         return f"a kite on {self.string}"
 
 
+def test_the_modules_of_the_service_are_those_that_its_extra_installs() -> None:
+    needs = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["service"]
+    names = {re.split("[<>=]", need)[0].replace("-", "_") for need in needs}
+    tops = metadata.packages_distributions().items()
+    assert set(extras.SERVICE) == {top for top, owners in tops if names & {owner.replace("-", "_") for owner in owners}}
+
+
+def test_each_command_of_the_library_alone_names_the_extra_of_the_service(tmp_path: Path) -> None:
+    """`--version` and the help need nothing, since a person types them first."""
+    alone = f"{_PLAIN.replace('{', repr(set(extras.SERVICE))[:-1] + ', ', 1)}"
+    for words, code in (("--help", 0), ("--version", 0), ("demo", 2), ("run --config rig.toml", 2), ("record info x", 2)):
+        done = subprocess.run(
+            [sys.executable, "-c", alone, *words.split()],
+            cwd=tmp_path,
+            env={"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (done.returncode, done.stderr.count("\n")) == (code, code // 2), done.stderr
+        assert code == 0 or re.fullmatch(
+            rf"decklander: decklander {words.split()[0]} needs \S+, which is not installed: .* decklander\[service\]\n",
+            done.stderr,
+        )
+
+
 @pytest.mark.parametrize("capability", CAPABILITIES, ids=lambda capability: capability.what)
 def test_what_the_table_names_is_there_and_in_the_extras_of_the_distribution(capability: Capability) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -49,6 +49,15 @@ def test_the_page_documents_every_public_name_and_no_other() -> None:
     assert sorted(re.findall(r"^### `(\w+)`$", page, re.MULTILINE)) == sorted(estimator.__all__)
 
 
+def test_without_opencv_the_filter_serves_and_what_sees_names_what_is_missing() -> None:
+    code = "import sys; sys.modules['cv2'] = None; import estimator; estimator.RelativeEstimator(); estimator.PadTracker"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1].startswith(
+        "estimator.contracts.errors.SetupImpossible: PadTracker needs OpenCV 4.10 or newer (cv2), which is not installed: "
+    )
+    assert "decklander[headless]" in done.stderr
+
+
 def test_every_public_name_can_be_had_and_is_documented_where_it_is_made() -> None:
     for name in estimator.__all__:
         value = getattr(estimator, name)
