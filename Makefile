@@ -14,7 +14,7 @@ LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py
 CORE := $(LIBRARIES) $(BINDINGS)
 
-.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit workflows pins release
+.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit workflows pins release emptied
 
 # The core compiles while the packages are fetched.
 demo:
@@ -73,10 +73,14 @@ deb: $(VENV)/.supply $(VENV)/.compiler
 # Everything that a release hands out, in dist/, the same bytes from the same commit: wheels, source, Debian package, site,
 # bills of materials, and their checksums. The image is built from the Dockerfile of the source archive.
 release: export SOURCE_DATE_EPOCH := $(shell git log -1 --format=%ct)
-release: wheels deb sbom docs
+release: emptied wheels deb sbom docs
 	tar --sort=name --mtime=@$(SOURCE_DATE_EPOCH) --owner=0 --group=0 --numeric-owner -cf - site | gzip -n9 > dist/decklander-site.tar.gz
 	cd dist && sha256sum *.whl *.tar.gz *.deb *.json > SHA256SUMS && sha256sum --check --quiet SHA256SUMS
 	@$(BIN)/python -m supply.release || true
+
+# A version of another commit in dist/ would be handed out too.
+emptied:
+	rm -rf dist
 
 # The V4L2 driver on the kernel's own test camera, in a virtual machine by software emulation.
 test-v4l2: $(VENV)/.dev $(CORE)

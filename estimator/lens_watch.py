@@ -34,7 +34,9 @@ class LensWatch:
     def __init__(self, options: EstimatorOptions) -> None:
         own = structs.replace(options.ekf, sigma_lever_m=options.integrity.lens_sigma_m, sigma_mount_rad=_MOUNT_RAD)
         self._path, self._tolerance_m = EkfPath(own), options.integrity.lens_tolerance_m
-        self.off_m, self.sigma_m, self._sure = (0.0, 0.0), own.sigma_lever_m, False
+        self.off_m: tuple[float, float] = (0.0, 0.0)
+        self.sigma_m: float = own.sigma_lever_m
+        self._sure = False
 
     def put(self, samples: Sequence[Sample | Baseline]) -> None:
         """Take samples in the order in which they were received."""

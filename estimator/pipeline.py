@@ -92,8 +92,8 @@ class RelativeEstimator:
         self._gimbal = GimbalHistory()
         self._exposed: Attitude | None = None
         self._newest: MonoNs | None = None
-        self.guard = integrity.IntegrityGuard(self._options.integrity)
-        self.ship_motion = ShipMotion(motion_sensor or ShipMotionOptions(), self._options.ekf.pad_yaw_in_vessel_rad)
+        self.guard: integrity.IntegrityGuard = integrity.IntegrityGuard(self._options.integrity)
+        self.ship_motion: ShipMotion = ShipMotion(motion_sensor or ShipMotionOptions(), self._options.ekf.pad_yaw_in_vessel_rad)
 
     @property
     def path(self) -> PathName:

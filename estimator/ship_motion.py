@@ -386,7 +386,7 @@ class ShipMotion:
         self._to_pad_m = -options.forward_m, -options.right_m
         self._turn = math.cos(pad_yaw_rad), math.sin(pad_yaw_rad)
         self._sensors: dict[str, _Sensor] = {}
-        self.reports = False
+        self.reports: bool = False
         self._seen: list[tuple[float, float, float, float]] = []
         self._judged = self._jolted_s = -math.inf
         self._begun = math.inf

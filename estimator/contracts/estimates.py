@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from enum import Enum
-from typing import Literal, overload
+from typing import ClassVar, Literal, overload
 
 import numpy as np
 from msgspec import Struct, field
@@ -52,7 +52,7 @@ class Verdict(Enum):
     """The verdict on one input. Every frame and every measurement gets exactly one."""
 
     # By identity: an enumeration's own hash is that of its name, and verdicts are counted thousands of times a second.
-    __hash__ = object.__hash__
+    __hash__: ClassVar[Callable[[object], int]] = object.__hash__
 
     FUSED = "fused"
     GATED = "gated"

@@ -39,7 +39,7 @@ class Door:
     file: str
 
     def __init__(self, made: ModuleType, file: str) -> None:
-        self.ffi = made.ffi
+        self.ffi: Any = made.ffi
         self._digest: int = made.DIGEST
         self._members: dict[Any, dict[str, Any]] = {}
         self._held: weakref.WeakKeyDictionary[Any, list[Any]] = weakref.WeakKeyDictionary()

@@ -160,7 +160,7 @@ class Filter:
     """
 
     def __init__(self, options: EkfOptions | None = None, saved: bytes | None = None) -> None:
-        self.options = options or EkfOptions()
+        self.options: EkfOptions = options or EkfOptions()
         self._params = FilterParams(self.options)
         kept = CORE.ffi.NULL if saved is None else CORE.ffi.from_buffer(saved)
         made = CORE.lib.dl_filter_new(self._params.core, kept, 0 if saved is None else len(saved))

@@ -176,13 +176,13 @@ class FilterParams:
         q[RANGE_OFFSET] = o.asd_range_offset_m**2
         q[ATT_BIAS] = o.asd_attitude_bias_rad_s**2
         self.psd = q
-        self.initial_var = _initial_var(o)
-        self.carrying = carrying(o.asd_accel_m_s2, o.asd_gyro_rad_s, o.asd_accel_bias_m_s3)
-        self.psd_accel = o.asd_accel_m_s2**2
-        self.psd_coast = o.asd_coast_m_s2**2
-        self.psd_coast_turn = o.asd_coast_rad_s**2
+        self.initial_var: F64 = _initial_var(o)
+        self.carrying: Carrying = carrying(o.asd_accel_m_s2, o.asd_gyro_rad_s, o.asd_accel_bias_m_s3)
+        self.psd_accel: float = o.asd_accel_m_s2**2
+        self.psd_coast: float = o.asd_coast_m_s2**2
+        self.psd_coast_turn: float = o.asd_coast_rad_s**2
         self.not_measured_var = NOT_MEASURED_VAR
-        self.core = CORE.array("dl_filter_params", _packed(self))
+        self.core: Any = CORE.array("dl_filter_params", _packed(self))
         """The core's `dl_filter_params`."""
 
 

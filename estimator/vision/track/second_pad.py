@@ -24,7 +24,9 @@ from estimator.vision.track.tracker import sight
 _COVERED = 1.3  # Radius, in radii of the disc, of what is covered of a pad to look for another one
 _DOUBTFUL = 0.05  # Confidence from which something may be another pad
 _SEEN = 0.5  # Confidence from which it is one
-_RIM = _COVERED * np.stack([np.cos(a := np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)), np.sin(a), 0.0 * a], axis=1)
+_RIM = _COVERED * np.stack(
+    [np.cos(_turn := np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)), np.sin(_turn), 0.0 * _turn], axis=1
+)
 
 
 def alone_in(tracker: TrackerConfig, memory: TrackerMemory, frame: Frame, attitude: Attitude, pad: Sighting) -> F64 | None:
