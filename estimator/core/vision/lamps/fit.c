@@ -115,7 +115,7 @@ static double sigmas_of(const lamp_group *g)
 
 static double median_sigmas(const lamp_groups *groups)
 {
-    double sorted[DL_LAMP_SPOTS_MAX];
+    double sorted[DL_LAMP_SPOTS_MAX] = {0.0};
     const int n = groups->n;
     for (int g = 0; g < n; g++) {
         const double value = sigmas_of(&groups->group[g]);
