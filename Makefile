@@ -56,19 +56,22 @@ test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 wheels: $(VENV)/.dev $(VENV)/.compiler
 	$(BIN)/python -m supply.wheels
 
-# The package on a booted Debian 12: install, update, return, remove. As root, with debootstrap and a Debian mirror in reach.
+# Each package on its own booted Debian: install, update, return, remove; and a card. As root, with debootstrap and a mirror in reach.
 test-install: deb
-	$(BIN)/python -m qualification.packaging.boot --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK))
-	$(BIN)/python -m qualification.packaging.card --deb dist/decklander_*_$$(dpkg --print-architecture).deb $(if $(WORK),--work $(WORK)/card)
+	for system in debian12 debian13; do \
+	  $(BIN)/python -m qualification.packaging.boot --system $$system $(if $(WORK),--work $(WORK)/$$system) \
+	    --deb dist/decklander_*$$system\_$$(dpkg --print-architecture).deb || exit 1; done
+	$(BIN)/python -m qualification.packaging.card --system debian13 $(if $(WORK),--work $(WORK)/card) \
+	  --deb dist/decklander_*debian13_$$(dpkg --print-architecture).deb
 
 # What git's tags and commits make of the version; the image's build is given it.
 version: $(VENV)/.runtime
 	@$(BIN)/python -m hatchling version
 
-# A Debian package that carries every wheel, in dist/: make deb, or make deb ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
+# Debian packages that carry every wheel, in dist/: make deb, or make deb SYSTEM=debian13 ARCHITECTURE=aarch64. WHEELS=DIR fetches nothing.
 deb: $(VENV)/.supply $(VENV)/.compiler
 	SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct)} \
-	  $(BIN)/python -m supply.deb $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE)) $(if $(WHEELS),--wheels $(WHEELS))
+	  $(BIN)/python -m supply.deb $(if $(SYSTEM),--system $(SYSTEM)) $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE)) $(if $(WHEELS),--wheels $(WHEELS))
 
 # Everything that a release hands out, in dist/, the same bytes from the same commit: wheels, source, Debian package, site,
 # bills of materials, and their checksums. The image is built from the Dockerfile of the source archive.

@@ -76,9 +76,9 @@ def all_in_one() -> list[str]:
 
 FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Wmissing-prototypes",
-    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", *(["-Werror"] if os.environ.get("CI") else []),
+    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
 )  # fmt: skip
-"""Compiler options. A warning ends the build in CI alone: a stranger's compiler may be newer and find more.
+"""Compiler options.
 
 Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the flags
 of floating-point exceptions, so roots and choices are instructions and not calls and branches.
@@ -139,7 +139,9 @@ def build(library: Library, out: Path | None = None, extra: Sequence[str] = (), 
     """
     out = out or library.file
     used = compiler() if architecture is None else cross_compiler(architecture)
-    common = [*used, *FLAGS, *extra, *(f"-I{folder}" for folder in library.includes)]
+    # A stranger's compiler may be newer and find more: a warning ends the build in CI alone.
+    strict = ["-Werror"] if os.environ.get("CI") else []
+    common = [*used, *FLAGS, *strict, *extra, *(f"-I{folder}" for folder in library.includes)]
     version = _run([*used, "--version"])
     OBJECTS.mkdir(parents=True, exist_ok=True)
 

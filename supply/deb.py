@@ -20,6 +20,7 @@ import textwrap
 from datetime import UTC, datetime
 from email.utils import format_datetime
 from pathlib import Path
+from typing import NamedTuple
 
 from companion.cli.commands import COMMANDS
 from supply import wheels
@@ -31,15 +32,30 @@ SHIP_PINS = PINS.with_name("ship.txt")
 
 ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}
 """Debian's names of the architectures. There is no 32-bit one: dpkg refuses the package there."""
-PYTHON = (3, 11)
-"""The Python of the Debian release that the package is for, bookworm."""
-_GLIBC = 36
-"""The minor version of its glibc 2."""
+
+
+class System(NamedTuple):
+    """A system that a package is for."""
+
+    codename: str
+    """The name of the release by which its mirror has it."""
+    python: tuple[int, int]
+    glibc: int
+    """The minor version of its glibc 2."""
+    title: str
+
+
+SYSTEMS = {
+    "debian12": System("bookworm", (3, 11), 36, "Debian 12, Raspberry Pi OS 12"),
+    "debian13": System("trixie", (3, 13), 41, "Debian 13, Raspberry Pi OS 13"),
+    "ubuntu24.04": System("noble", (3, 12), 39, "Ubuntu 24.04"),
+}
+"""The systems, by the mark in a package's version; Raspberry Pi OS of 64 bits is Debian's."""
 CARRIED = "usr/share/decklander/wheels"
 SLIM = "usr/share/decklander/slim.sh"
 SYSTEM_FILES = {
-    "decklander.service": "lib/systemd/system/decklander.service",
-    "70-decklander.rules": "lib/udev/rules.d/70-decklander.rules",
+    "decklander.service": "usr/lib/systemd/system/decklander.service",
+    "70-decklander.rules": "usr/lib/udev/rules.d/70-decklander.rules",
     "decklander.sysusers.conf": "usr/lib/sysusers.d/decklander.conf",
 }
 DESCRIPTION = "land a quadcopter on a small helipad on a moving ship"
@@ -60,18 +76,20 @@ class PackageError(Exception):
     """The package could not be made; the text gives the reason."""
 
 
-def fetch(architecture: str, into: Path) -> None:
-    """Fetch the pinned wheels for Debian's Python on an architecture.
+def fetch(system: System, architecture: str, into: Path) -> None:
+    """Fetch the pinned wheels for a system's Python on an architecture.
 
     Raises:
         PackageError: one cannot be had.
     """
-    abi = "cp{}{}".format(*PYTHON)
-    platforms = [f"manylinux_2_{minor}_{architecture}" for minor in range(_GLIBC, 4, -1)] + [f"manylinux2014_{architecture}"]
+    abi = "cp{}{}".format(*system.python)
+    minors = range(system.glibc, 4, -1)
+    platforms = [*(f"manylinux_2_{minor}_{architecture}" for minor in minors), f"manylinux2014_{architecture}"]
     command = [
         sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "download", "--dest", str(into), "--no-deps",
         "--only-binary", ":all:", "--require-hashes", "-r", str(PINS), "-r", str(SHIP_PINS), "--implementation", "cp",
-        "--python-version", ".".join(map(str, PYTHON)), *(word for name in (abi, "abi3", "none") for word in ("--abi", name)),
+        "--python-version", ".".join(map(str, system.python)),
+        *(word for name in (abi, "abi3", "none") for word in ("--abi", name)),
         *(word for name in platforms for word in ("--platform", name)),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -95,11 +113,12 @@ def bill() -> bytes:
     return done.stdout
 
 
-def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
+def stage(folder: Path, name: str, architecture: str, carried: Path, bill: bytes) -> None:
     """Lay out the package's files.
 
     Args:
         folder: an empty folder.
+        name: of the system, one of `SYSTEMS`.
         carried: the folder of the wheels, ours among them.
         bill: the bill of materials.
 
@@ -110,12 +129,15 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
     if len(own) != 1:
         raise PackageError(f"{carried}: {len(own)} wheels of decklander, want one")
     version = own[0].name.split("-")[1]
-    dated = {"version": debian_version(version), "maintainer": MAINTAINER, "date": _date()}
+    major, minor = SYSTEMS[name].python
+    marked = f"{debian_version(version)}{'.' if '+' in version else '+'}{name}"
+    dated = {"version": marked, "maintainer": MAINTAINER, "date": _date()}
     for file in sorted(carried.glob("*.whl")):
         _put(folder / CARRIED / file.name, file.read_bytes())
     for name, target in SYSTEM_FILES.items():
         _put(folder / target, (ROOT / "configs/systemd" / name).read_bytes())
     (folder / "usr/bin").mkdir(parents=True)
+    (folder / SETTINGS.lstrip("/")).parent.mkdir(parents=True)
     (folder / "usr/bin/decklander").symlink_to(f"{PREFIX}/current/bin/decklander")
     _put(folder / SLIM, (ROOT / "requirements/slim.sh").read_bytes())
     _put(folder / _DOC / "copyright", copyright_file((ROOT / "docs/licences.md").read_text()).encode())
@@ -128,12 +150,12 @@ def stage(folder: Path, architecture: str, carried: Path, bill: bytes) -> None:
         "prefix": PREFIX, "name": f"{version}-{hashlib.sha256(own[0].read_bytes()).hexdigest()[:8]}", "carried": CARRIED,
         "slim": SLIM, "settings": SETTINGS, "purged": PURGED,
     }  # fmt: skip
-    for name in ("postinst", "prerm", "postrm"):
-        _put(folder / "DEBIAN" / name, filled(name, words), 0o755)
+    for script in ("postinst", "prerm", "postrm"):
+        _put(folder / "DEBIAN" / script, filled(script, words), 0o755)
     size_kb = sum(-(-path.stat().st_size // 1024) for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
     words |= dated | {
         "architecture": ARCHITECTURES[architecture], "size_kb": f"{size_kb}",
-        "python": f"{PYTHON[0]}.{PYTHON[1]}", "next_python": f"{PYTHON[0]}.{PYTHON[1] + 1}",
+        "python": f"{major}.{minor}", "next_python": f"{major}.{minor + 1}",
     }  # fmt: skip
     _put(folder / "DEBIAN/control", filled("control", words))
     sums = subprocess.run(
@@ -243,29 +265,35 @@ def build(folder: Path, out: Path, architecture: str) -> Path:
     return made
 
 
+def _made(name: str, architecture: str, given: Path | None, out: Path) -> Path:
+    """Make the package for a system, with the wheels of a folder or fetched ones, and return it."""
+    with tempfile.TemporaryDirectory() as work:
+        carried, folder = Path(work, "wheels"), Path(work, "package")
+        folder.mkdir()
+        if given is None:
+            fetch(SYSTEMS[name], architecture, carried)
+        else:
+            shutil.copytree(given, carried, ignore=shutil.ignore_patterns("decklander-*"))
+        wheels.make(architecture, carried)
+        stage(folder, name, architecture, carried, bill())
+        return build(folder, out, architecture)
+
+
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="python -m supply.deb", description="Make a Debian package.")
     parser.add_argument("--out", type=Path, default=Path("dist"))
+    parser.add_argument("--system", choices=SYSTEMS, nargs="+", default=list(SYSTEMS), help="the systems to make one for (all)")
     parser.add_argument("--architecture", choices=ARCHITECTURES, default=os.uname().machine)
     parser.add_argument("--wheels", type=Path, help="folder with the pinned wheels, in place of fetching them")
     args = parser.parse_args()
     try:
-        with tempfile.TemporaryDirectory() as work:
-            carried, folder = Path(work, "wheels"), Path(work, "package")
-            folder.mkdir()
-            if args.wheels is None:
-                fetch(args.architecture, carried)
-            else:
-                ours = shutil.ignore_patterns("decklander-*")
-                shutil.copytree(args.wheels, carried, ignore=ours)
-            wheels.make(args.architecture, carried)
-            stage(folder, args.architecture, carried, bill())
-            made = build(folder, args.out, args.architecture)
+        for name in args.system:
+            made = _made(name, args.architecture, args.wheels, args.out)
+            print(f"{made} ({made.stat().st_size / 1e6:.0f} MB): {SYSTEMS[name].title}")
     except (PackageError, wheels.WheelError) as why:
         print(why, file=sys.stderr)
         return 1
-    print(f"{made} ({made.stat().st_size / 1e6:.0f} MB)")
     return 0
 
 

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make a Decklander card of an unpacked Raspberry Pi OS 12: sh setup.sh ROOT PACKAGE.deb PROFILE
+# Make a Decklander card of an unpacked Raspberry Pi OS 13: sh setup.sh ROOT PACKAGE.deb PROFILE
 # The layer runs it as a hook, with this folder as the working one; so does qualification/packaging/card.py, on a bare Debian.
 set -eu
 root=$1 package=$2 profile=$3

@@ -1,6 +1,6 @@
-"""The Debian package and the commands of installation on a booted Debian 12: systemd as the first process of a container.
+"""The Debian package and the commands of installation on a booted Debian: systemd as the first process of a container.
 
-    python -m qualification.packaging.boot --deb FILE [--work DIR] [--keep]
+    python -m qualification.packaging.boot --system debian13 --deb FILE [--work DIR] [--keep]
 
 Needs root, debootstrap and a Debian mirror. systemd starts in namespaces of its own, in a bare root; there dpkg installs the
 package, the service comes up under its unit, updates to a good and to a bad version, returns, refuses to be touched while a
@@ -23,6 +23,8 @@ from supply import deb
 
 ROOT = Path(__file__).parents[2]
 MIRROR = "http://deb.debian.org/debian"
+SYSTEMS = [name for name in deb.SYSTEMS if name.startswith("debian")]
+"""Systems whose mirror is in reach: Ubuntu's is not."""
 PACKAGES = "systemd,systemd-sysv,udev,dbus,python3,python3-venv,iproute2"
 _SPACES = ("--mount", "--pid", "--net", "--cgroup", "--uts", "--ipc")
 BOOT_S, LONG_S = 120.0, 900.0
@@ -137,6 +139,9 @@ def fly(guest: Guest) -> None:
     link = guest.root / f"{deb.PREFIX}/current".lstrip("/")
     guest.expect("dpkg -i /decklander.deb", 0, f"next: decklander start --out {deb.SETTINGS}")
     guest.expect("decklander --version", 0, "decklander [0-9]")
+    # The very command that was printed, at a terminal; a person who knows nothing takes what is offered.
+    guest.expect(f"yes '' | script --quiet --return --command 'decklander start --out {deb.SETTINGS}' /dev/null", 0)
+    guest.expect(f"decklander config check {deb.SETTINGS}", 0)
     shutil.copyfile(ROOT / "configs/sim.toml", guest.root / "etc/decklander/rig.toml")
     # A busy machine is no failure.
     patient = guest.root / "etc/systemd/system/decklander.service.d/patient.conf"
@@ -174,7 +179,7 @@ def fly(guest: Guest) -> None:
 
 
 def main(
-    what: str = "Installation on a booted Debian 12.",
+    what: str = "Installation on a booted Debian.",
     packages: str = PACKAGES,
     prepare: Callable[[Path, Path], None] = lambda root, package: None,
     act: Callable[[Guest], None] = fly,
@@ -186,6 +191,7 @@ def main(
     """
     parser = argparse.ArgumentParser(description=what)
     parser.add_argument("--deb", type=Path, required=True)
+    parser.add_argument("--system", choices=SYSTEMS, required=True, help="the system that the package is for")
     parser.add_argument("--work", type=Path, help="working folder; a base made there before is used again")
     parser.add_argument("--keep", action="store_true", help="leave it")
     asked = parser.parse_args()
@@ -196,7 +202,7 @@ def main(
     base, root = work / "base", work / "root"
     if not (base / "usr/bin/systemctl").exists():
         subprocess.run(
-            ["debootstrap", "--variant=minbase", f"--include={packages}", "bookworm", str(base), MIRROR],
+            ["debootstrap", "--variant=minbase", f"--include={packages}", deb.SYSTEMS[asked.system].codename, str(base), MIRROR],
             check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
     shutil.rmtree(root, ignore_errors=True)

@@ -1,6 +1,6 @@
-"""The steps of a Raspberry Pi's card (configs/card) on a bare Debian 12, and its first two boots, without the image builder.
+"""The steps of a Raspberry Pi's card (configs/card) on a bare Debian 13, and its first two boots, without the image builder.
 
-    python -m qualification.packaging.card --deb FILE [--work DIR] [--keep]
+    python -m qualification.packaging.card --system debian13 --deb FILE [--work DIR] [--keep]
 
 Needs what `qualification.packaging.boot` needs. The layer's packages that Debian has are installed, its hook runs as it is
 written there, and systemd boots the root: the page answers with the token that the first boot made, the UART has no console,

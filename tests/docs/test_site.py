@@ -88,7 +88,7 @@ def test_the_changelog_begins_with_what_comes_and_the_next_version_follows_its_n
     assert released == sorted(released, reverse=True)
     coming = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["version"]["fallback-version"]
     assert released[0] < Version(coming)
-    assert f"decklander_{released[0]}_arm64.deb" in (DOCS / "installation.md").read_text()
+    assert f"decklander_{released[0]}+debian13_arm64.deb" in (DOCS / "installation.md").read_text()
 
 
 PAGE = (DOCS / "operator.md").read_text()

@@ -33,10 +33,10 @@ def carried(tmp_path: Path) -> Path:
     return folder
 
 
-def staged(tmp_path: Path, carried: Path, name: str) -> Path:
+def staged(tmp_path: Path, carried: Path, name: str, system: str = "debian13") -> Path:
     folder = tmp_path / name
     folder.mkdir()
-    deb.stage(folder, "x86_64", carried, b"{}\n")
+    deb.stage(folder, system, "x86_64", carried, b"{}\n")
     return folder
 
 
@@ -56,14 +56,16 @@ def test_two_builds_at_different_times_are_the_same_bytes(tmp_path: Path, carrie
 
 
 @needs_dpkg
-def test_dpkg_reads_what_the_package_says_of_itself(tmp_path: Path, carried: Path) -> None:
-    made = deb.build(staged(tmp_path, carried, "package"), tmp_path, "aarch64")
-    assert made.name == "decklander_1.1.0~dev7+g0a1b2c3_arm64.deb"
+@pytest.mark.parametrize(("system", "python"), [("debian12", 11), ("ubuntu24.04", 12), ("debian13", 13)])
+def test_dpkg_reads_what_the_package_says_of_itself(tmp_path: Path, carried: Path, system: str, python: int) -> None:
+    made = deb.build(staged(tmp_path, carried, "package", system), tmp_path, "aarch64")
+    assert made.name == f"decklander_1.1.0~dev7+g0a1b2c3.{system}_arm64.deb"
     fields = subprocess.run(["dpkg-deb", "--field", str(made)], capture_output=True, text=True, check=True).stdout
-    assert re.search(r"^Depends: python3 \(>= 3\.11~\), python3 \(<< 3\.12~\), python3-venv, systemd$", fields, re.MULTILINE)
+    depends = rf"^Depends: python3 \(>= 3\.{python}~\), python3 \(<< 3\.{python + 1}~\), python3-venv, systemd$"
+    assert re.search(depends, fields, re.MULTILINE)
     listed = subprocess.run(["dpkg-deb", "--contents", str(made)], capture_output=True, text=True, check=True).stdout
     assert all(" root/root " in line for line in listed.splitlines())
-    for path in (f"./{deb.CARRIED}/{OWN}", "./lib/systemd/system/decklander.service", "./usr/share/man/man1/decklander.1.gz"):
+    for path in (f"./{deb.CARRIED}/{OWN}", "./usr/lib/systemd/system/decklander.service", "./etc/decklander/"):
         assert f" {path}\n" in listed
     assert f"./usr/bin/decklander -> {deb.PREFIX}/current/bin/decklander\n" in listed
 

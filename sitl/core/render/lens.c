@@ -95,7 +95,7 @@ static uint16_t *slot(const lens *l, int32_t row)
 /* Put a row of one colour into the ring, blurred along itself. */
 static void enter(const lens *l, int32_t row, int colour, const uint16_t *light)
 {
-    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1], *after[DL_BLUR_RADIUS_MAX + 1];
+    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1] = {NULL}, *after[DL_BLUR_RADIUS_MAX + 1] = {NULL};
     uint16_t *inside = l->wide + l->radius, *out = slot(l, row) + colour * l->w;
     if (!l->radius) {
         memcpy(out, light, (size_t)l->w * sizeof *out);
@@ -149,7 +149,7 @@ static void add_exact(const lens *l, int32_t row)
 /* The blurred row in counts; the rows of the ring outside the frame are its first and its last one. */
 static const uint16_t *blurred(const lens *l, int32_t row)
 {
-    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1], *after[DL_BLUR_RADIUS_MAX + 1];
+    const uint16_t *before[DL_BLUR_RADIUS_MAX + 1] = {NULL}, *after[DL_BLUR_RADIUS_MAX + 1] = {NULL};
     for (int t = 0; t <= l->radius; t++) {
         before[t] = slot(l, row - t > 0 ? row - t : 0);
         after[t] = slot(l, row + t < l->h - 1 ? row + t : l->h - 1);
