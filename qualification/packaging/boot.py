@@ -139,8 +139,9 @@ def fly(guest: Guest) -> None:
     link = guest.root / f"{deb.PREFIX}/current".lstrip("/")
     guest.expect("dpkg -i /decklander.deb", 0, f"next: decklander start --out {deb.SETTINGS}")
     guest.expect("decklander --version", 0, "decklander [0-9]")
-    # The very command that was printed, at a terminal; a person who knows nothing takes what is offered.
-    guest.expect(f"yes '' | script --quiet --return --command 'decklander start --out {deb.SETTINGS}' /dev/null", 0)
+    # The very command that was printed, at a terminal; a person who knows nothing takes what is offered. There is no drone.
+    asks = f"script --quiet --return --command 'decklander start --out {deb.SETTINGS}' /dev/null"
+    guest.expect(f"yes '' | {asks}", 1, "no navdata comes from", "start the service: +systemctl start decklander")
     guest.expect(f"decklander config check {deb.SETTINGS}", 0)
     shutil.copyfile(ROOT / "configs/sim.toml", guest.root / "etc/decklander/rig.toml")
     # A busy machine is no failure.
