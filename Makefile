@@ -14,7 +14,7 @@ LIBRARIES := estimator/core/libdecklander.so.1 sitl/core/libdecklander_sim.so.1
 BINDINGS := estimator/core/abi.py sitl/core/abi.py
 CORE := $(LIBRARIES) $(BINDINGS)
 
-.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels deb version lint bench docs fuzz mutants sbom licences audit workflows pins release emptied
+.PHONY: core demo check test pythons qualify test-aarch64 test-image test-v4l2 test-install wheels size deb version lint bench docs fuzz mutants sbom licences audit workflows pins release emptied
 
 # The core compiles while the packages are fetched.
 demo:
@@ -55,6 +55,10 @@ test-aarch64: $(VENV)/.dev $(VENV)/.compiler $(CORE)
 # Wheels for x86-64 and aarch64 in dist/, which need no compiler where they are installed, and the source archive; ready for PyPI.
 wheels: $(VENV)/.dev $(VENV)/.compiler
 	$(BIN)/python -m supply.wheels
+
+# Packages, MB and seconds of pip install: the wheel alone, each extra, and other libraries; the table of docs/installation.md.
+size: wheels
+	@$(BIN)/python -m supply.size --wheel $$(ls dist/decklander-*_$$(uname -m).whl)
 
 # Each package on its own booted Debian: install, update, return, remove; and a card. As root, with debootstrap and a mirror in reach.
 test-install: deb
@@ -126,7 +130,7 @@ bench: $(VENV)/.dev $(CORE)
 
 # The documentation as a site in site/; a broken link, a page outside the navigation, or a search that misses its page fails it. A preview while writing: .venv/bin/mkdocs serve.
 docs: $(VENV)/.docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/mkdocs build --quiet
 	$(BIN)/pytest tests/docs/test_search.py
 
 # Every parser, and every entry of the core where there is clang, against bytes of a fuzzer's making: make fuzz SECONDS=60, or HOURS=8, CPU=1 for CPU time. ONLY="pave at" for some targets, JOBS=1 for one core.
