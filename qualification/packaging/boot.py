@@ -167,7 +167,7 @@ def fly(guest: Guest) -> None:
     guest.expect("systemctl is-active decklander", 0)
     assert os.readlink(link) == first
     until("the drone stands", lambda: '"flying":false' in guest.run("decklander fly status --json").stdout, 300)
-    guest.expect(f"systemctl stop sim; dpkg -i /{bad}", 1, f"version 9.2 does not come up .* {first} is current again")
+    guest.expect(f"systemctl stop sim; dpkg -i /{bad}", 1, f"version 9.2 does not come up .* {re.escape(first)} is current again")
     guest.expect("systemctl stop decklander; echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
     guest.expect(f"dpkg -i /{good}", 1, "vision.colors")
     guest.expect("sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0)
