@@ -76,12 +76,13 @@ def all_in_one() -> list[str]:
 
 FLAGS = (
     "-std=c99", "-O3", "-fPIC", "-Wall", "-Wextra", "-Wmissing-prototypes",
-    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+    "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-g0",
 )  # fmt: skip
 """Compiler options.
 
 Without contraction and without fast-math, machines of one architecture compute the same bits. Nobody reads `errno` or the flags
-of floating-point exceptions, so roots and choices are instructions and not calls and branches.
+of floating-point exceptions, so roots and choices are instructions and not calls and branches. Debugging data, which zig adds
+without a word, would hold the folder of the build, and so two builds would differ.
 """
 NO_COMPILER = (
     "the native core needs a C compiler, and there is neither `cc` (on Debian: apt install gcc libc6-dev) "

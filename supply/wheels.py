@@ -59,11 +59,13 @@ def check(library: bytes, architecture: str) -> None:
     """Hold a library to the tag of its wheel.
 
     Raises:
-        WheelError: it is for another machine, or needs a newer glibc.
+        WheelError: it is for another machine, needs a newer glibc, or says where it was built.
     """
     (machine,) = struct.unpack_from("<H", library, 18)
     if machine != ARCHITECTURES[architecture]:
         raise WheelError(f"the library for {architecture} is built for ELF machine {machine}, not {ARCHITECTURES[architecture]}")
+    if str(ROOT).encode() in library:
+        raise WheelError(f"the library for {architecture} holds the folder of its build, {ROOT}")
     newest = max((tuple(map(int, found)) for found in _GLIBC.findall(library)), default=(0, 0))
     if newest > core.GLIBC:
         raise WheelError(f"the library for {architecture} needs glibc {newest[0]}.{newest[1]}, its tag says 2.17")

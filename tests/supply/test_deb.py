@@ -174,11 +174,13 @@ def test_a_library_that_fits_its_tag_is_taken() -> None:
     assert machine in wheels.ARCHITECTURES.values()
 
 
-def test_one_for_another_machine_or_a_newer_glibc_is_refused() -> None:
+def test_one_for_another_machine_a_newer_glibc_or_of_a_folder_that_shows_is_refused() -> None:
     with pytest.raises(wheels.WheelError, match="for aarch64 is built for ELF machine 62"):
         wheels.check(elf(62, b"GLIBC_2.17"), "aarch64")
     with pytest.raises(wheels.WheelError, match=r"x86_64 needs glibc 2\.29"):
         wheels.check(elf(62, b"GLIBC_2.4", b"GLIBC_2.29", b"GLIBC_2.17"), "x86_64")
+    with pytest.raises(wheels.WheelError, match="x86_64 holds the folder of its build"):
+        wheels.check(elf(62, b"GLIBC_2.17", str(ROOT / "estimator").encode()), "x86_64")
 
 
 def test_another_architecture_needs_zig(monkeypatch: pytest.MonkeyPatch) -> None:
