@@ -153,6 +153,7 @@ class MenuEntry(Structure):
     """struct v4l2_querymenu."""
 
     _pack_ = 1
+    _layout_ = "ms"
     _fields_ = (("id", c_uint32), ("index", c_uint32), ("name", c_char * 32), ("reserved", c_uint32))
 
 
@@ -160,6 +161,7 @@ class WideControl(Structure):
     """struct v4l2_ext_control."""
 
     _pack_ = 1
+    _layout_ = "ms"
     _fields_ = (("id", c_uint32), ("size", c_uint32), ("reserved2", c_uint32), ("value64", c_int64))
 
 
