@@ -189,21 +189,22 @@ def chroot(
 
 
 def _pip_files() -> list[Path]:
-    """Pip's configuration of this machine in a folder, with a copy of the certificates it trusts; then the folders it names."""
+    """Pip's configuration of this machine in a folder, with a copy of the files that it names; then the folders it names."""
     output = subprocess.run([sys.executable, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
     options = dict(re.findall(r"^(?:global|:env:)\.([\w-]+)='(.*)'$", output, re.MULTILINE))
     if not options:
         return []
     lent = Path(tempfile.mkdtemp(prefix="decklander-pip-"))
-    if "cert" in options:
-        options["cert"] = str(shutil.copy(options["cert"], lent / "trusted.pem"))
+    files = [name for name in ("cert", "constraint") if name in options]
+    for name in files:
+        options[name] = str(shutil.copy(options[name], lent / f"{name}.txt"))
     wanted = {
         name: " ".join(value.replace("\\n", " ").split())
         for name, value in options.items()
         if name != "disable-pip-version-check"
     }
     (lent / "pip.conf").write_text("[global]\n" + "".join(f"{name} = {value}\n" for name, value in wanted.items()))
-    places = re.findall(r"(?:file://)?(/[^\s'\\]+)", " ".join(value for name, value in wanted.items() if name != "cert"))
+    places = re.findall(r"(?:file://)?(/[^\s'\\]+)", " ".join(value for name, value in wanted.items() if name not in files))
     folders = {Path(place).parent if place.endswith("/simple") else Path(place) for place in places}
     return [lent, *sorted(folder for folder in folders if folder.is_dir())]
 
