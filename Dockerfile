@@ -1,6 +1,6 @@
 # The service and the simulator in one image. Debian's own Python: `make test-image` runs these very steps without an engine.
 
-FROM debian:bookworm-slim AS build
+FROM debian:trixie-slim AS build
 RUN apt-get update \
  && apt-get install --yes --no-install-recommends python3 python3-venv binutils gcc libc6-dev
 WORKDIR /src
@@ -30,7 +30,7 @@ RUN /opt/build/bin/pip install --no-cache-dir --require-hashes -r requirements/s
  && /opt/build/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
     -o /opt/decklander/share/decklander/sbom.cdx.json /opt/decklander
 
-FROM debian:bookworm-slim
+FROM debian:trixie-slim
 RUN apt-get update \
  && apt-get install --yes --no-install-recommends python3 \
  && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin /usr/share/doc/* /usr/share/man/*

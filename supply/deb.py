@@ -131,7 +131,7 @@ def stage(folder: Path, name: str, architecture: str, carried: Path, bill: bytes
     version = own[0].name.split("-")[1]
     major, minor = SYSTEMS[name].python
     marked = f"{debian_version(version)}{'.' if '+' in version else '+'}{name}"
-    dated = {"version": marked, "maintainer": MAINTAINER, "date": _date()}
+    dated = {"version": marked, "codename": SYSTEMS[name].codename, "maintainer": MAINTAINER, "date": _date()}
     for file in sorted(carried.glob("*.whl")):
         _put(folder / CARRIED / file.name, file.read_bytes())
     for name, target in SYSTEM_FILES.items():

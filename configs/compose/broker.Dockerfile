@@ -1,6 +1,6 @@
 # mosquitto with the configuration of configs/broker; certificates and passwords are made at its first start.
 
-FROM debian:bookworm-slim
+FROM debian:trixie-slim
 RUN apt-get update \
  && apt-get install --yes --no-install-recommends mosquitto mosquitto-clients openssl \
  && rm -rf /var/lib/apt/lists/* /var/cache/apt/*.bin /usr/share/doc/* /usr/share/man/*

@@ -1,7 +1,7 @@
 # The simulator with the extra `lab`, for scheduler and workers of campaigns (docs/campaigns.md). All of a cluster run this one
 # image: a worker with other code is refused.
 
-FROM debian:bookworm-slim
+FROM debian:trixie-slim
 RUN apt-get update \
  && apt-get install --yes --no-install-recommends python3 python3-venv gcc libc6-dev \
  && rm -rf /var/lib/apt/lists/*
@@ -14,6 +14,7 @@ COPY companion companion
 COPY drivers drivers
 COPY estimator estimator
 COPY sitl sitl
+COPY decklander decklander
 COPY configs configs
 COPY supply supply
 RUN /opt/decklander/bin/pip install --no-cache-dir --no-deps --no-build-isolation .

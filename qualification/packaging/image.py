@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SUITES = {"debian:bookworm-slim": "bookworm"}
+SUITES = {"debian:trixie-slim": "trixie"}
 MIRROR = "http://deb.debian.org/debian"
 _KNOWN = {"RUN", "COPY", "WORKDIR", "ENV", "USER", "HEALTHCHECK", "ENTRYPOINT", "CMD", "LABEL", "ARG"}
 
