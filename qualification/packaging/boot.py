@@ -156,19 +156,18 @@ def fly(guest: Guest) -> None:
     good, bad = another(package, "9.1"), another(package, "9.2", "    raise SystemExit(1)\n")
     guest.expect(f"dpkg -i /{good}", 1, "the drone flies, or the service cannot say")
     guest.expect("systemctl stop decklander && dpkg -i /decklander.deb && systemctl start decklander", 0)
-    guest.expect(
-        "systemd-run --quiet --unit sim /opt/decklander/current/bin/python -m sitl.emulators.ardrone.serve demo"
-        " --host 127.0.0.1 --seed 1 --repeat",
-        0,
-    )
-    until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
+    sim = "systemd-run --quiet --collect --unit sim /opt/decklander/current/bin/python -m sitl.emulators.ardrone.serve demo"
     for command in (f"dpkg -i /{good}", "dpkg -r decklander"):
+        guest.expect(f"systemctl stop decklander sim 2>/dev/null; {sim} --host 127.0.0.1 --seed 1", 0)
+        guest.expect("systemctl start decklander", 0)
+        until("the drone flies", lambda: '"flying":true' in guest.run("decklander fly status --json").stdout, 120)
         guest.expect(command, 1, "the drone flies")
     guest.expect("systemctl is-active decklander", 0)
     assert os.readlink(link) == first
+    # It stays there: a service that has lost its drone cannot say that it stands.
     until("the drone stands", lambda: '"flying":false' in guest.run("decklander fly status --json").stdout, 300)
-    guest.expect(f"systemctl stop sim; dpkg -i /{bad}", 1, f"version 9.2 does not come up .* {re.escape(first)} is current again")
-    guest.expect("systemctl stop decklander; echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
+    guest.expect(f"dpkg -i /{bad}", 1, f"version 9.2 does not come up .* {re.escape(first)} is current again")
+    guest.expect("systemctl stop sim decklander; echo '[vision]\ncolors = 1' >> /etc/decklander/rig.toml", 0)
     guest.expect(f"dpkg -i /{good}", 1, "vision.colors")
     guest.expect("sed -i '$d' /etc/decklander/rig.toml && sed -i '$d' /etc/decklander/rig.toml", 0)
     guest.expect("dpkg --configure decklander", 0)

@@ -26,6 +26,8 @@ class LaterName(NamedTuple):
 _46, _47 = (4, 6, 0), (4, 7, 0)
 RENAMED = {
     "GPS_RATE_MS": LaterName("GPS1_RATE_MS", 1.0, _46),
+    "GPS_TYPE": LaterName("GPS1_TYPE", 1.0, _46),
+    "GPS_TYPE2": LaterName("GPS2_TYPE", 1.0, _46),
     "LAND_SPEED": LaterName("LAND_SPD_MS", _CENTI, _47),
     "LAND_SPEED_HIGH": LaterName("LAND_SPD_HIGH_MS", _CENTI, _47),
     "LAND_ALT_LOW": LaterName("LAND_ALT_LOW_M", _CENTI, _47),

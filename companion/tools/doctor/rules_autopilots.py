@@ -1,6 +1,7 @@
 """Rules for ArduPilot and PX4: the settings that each needs, and the messages that it sends without them or is sent."""
 
 from companion.tools.doctor.finding import Finding, Row, Rule, Severity, advice, error
+from companion.tools.doctor.firmware_parameters import named_value
 from companion.tools.doctor.snapshot import AutopilotSnapshot, Snapshot
 from drivers.mavlink.failsafe import event_id
 
@@ -10,7 +11,16 @@ PARAMETERS = (
     "EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW", "EK3_RNG_USE_HGT",
     "SCR_ENABLE", "SCR_HEAP_SIZE", "DKL_ENABLE",
     *(f"RNGFND{n}_{what}" for n in range(1, 5) for what in ("TYPE", "ORIENT")),
+    "GPS_TYPE", "GPS_TYPE2",
 )  # fmt: skip
+_TWO_ANTENNAS = {
+    17.0: "u-blox base", 18.0: "u-blox rover", 22.0: "DroneCAN base", 23.0: "DroneCAN rover", 25.0: "Unicore", 26.0: "Septentrio",
+}  # fmt: skip
+"""GPS1_TYPE of receivers that measure the heading between two antennas (ardupilot.org, GPS for Yaw)."""
+_COMPASS = 1.0  # EK3_SRC1_YAW: compass
+_ROVER_OF_HEADING = (1.0, 3.0)
+"""GPS_UBX_MODE of a rover whose moving base stands on the vehicle (docs.px4.io, RTK GPS Heading with Dual u-blox F9P)."""
+_GNSS_HEADING = 8  # bit of EKF2_GPS_CTRL: heading of two antennas
 _EXTERNAL_NAV = 6.0  # EK3_SRCx: external navigation
 _BY_RANGE = 2.0  # EK3_SRC1_POSZ: rangefinder
 _BY_MAVLINK = 10.0  # RNGFNDx_TYPE: MAVLink
@@ -115,6 +125,25 @@ def _kinds(p: Snapshot) -> dict[int, float]:
     return {n: v for n, v in found.items() if v is not None}
 
 
+def _heading_unused(p: Snapshot) -> str:
+    """Return the receivers that measure the heading between two antennas, where the compass has it instead."""
+    a = _of(p, "ArduPilot")
+    if a is None or _value(p, "EK3_SRC1_YAW") != _COMPASS:
+        return ""
+    found = [named_value(a.parameters, name) for name in ("GPS_TYPE", "GPS_TYPE2")]
+    return ", ".join(
+        f"{v.name} {v.value:g} ({_TWO_ANTENNAS[v.value]})" for v in found if v is not None and v.value in _TWO_ANTENNAS
+    )
+
+
+def _px4_heading_unused(p: Snapshot) -> int | None:
+    """Return the EKF2_GPS_CTRL that takes the heading that a rover measures, where it is not taken."""
+    control = _value(p, "EKF2_GPS_CTRL", "PX4")
+    if _px4(p, "GPS_UBX_MODE") not in _ROVER_OF_HEADING or control is None or int(control) & _GNSS_HEADING:
+        return None
+    return int(control) | _GNSS_HEADING
+
+
 def _turned(p: Snapshot) -> dict[str, float]:
     """Return the parameters that turn rangefinders elsewhere than down, with their values."""
     found = {f"RNGFND{n}_ORIENT": _value(p, f"RNGFND{n}_ORIENT") for n, kind in _kinds(p).items() if kind}
@@ -212,6 +241,10 @@ RULES: tuple[Rule, ...] = (
         "{0}: the EKF waits for a position that is never sent",
         "set EK3_SRC1_POSXY, VELXY and VELZ 3 (GNSS), POSZ 1 (barometer), YAW 1 (compass): the pad moves, it is no reference",
         lambda found: {name: right for name, right in _SOURCES.items() if name in found}),
+    Row("yaw-by-gnss", _ADVICE, _heading_unused,
+        "{0}: two antennas measure the heading, and EK3_SRC1_YAW is 1: the compass has it, which a ship's steel turns",
+        "set EK3_SRC1_YAW 3 (GNSS, and the compass where that fails) or 2 (GNSS), with the antennas' places (GPS1_MB_*)",
+        {"EK3_SRC1_YAW": 3.0}),
     Row("ekf-height-by-range", _ERROR, _height_by_range,
         "the EKF takes height from the rangefinder: it follows the deck's heave, and jumps at the deck's edge",
         "set EK3_SRC1_POSZ 1 (barometer) or 3 (GNSS) and EK3_RNG_USE_HGT -1",
@@ -273,7 +306,7 @@ PLANE_RULES: tuple[Rule, ...] = (
 
 PX4_PARAMETERS = (
     "PLD_HACC_RAD", "PLD_BTOUT", "MPC_JERK_AUTO", "LTEST_MODE", "VTE_EN", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "EKF2_EV_CTRL",
-    "EKF2_HGT_REF", "MAV_PROTO_VER",
+    "EKF2_HGT_REF", "MAV_PROTO_VER", "GPS_UBX_MODE", "EKF2_GPS_CTRL",
 )  # fmt: skip
 _LEAVES = {
     3.0: "3 (return): when the service dies it leaves the ship",
@@ -325,6 +358,10 @@ PX4_RULES: tuple[Rule, ...] = (
     Row("px4-precland-missing", _WARNING, lambda p: _without(p, "PX4", "PLD_HACC_RAD"),
         "this firmware has no precision landing (no parameter PLD_HACC_RAD): AUTO.PRECLAND does not exist",
         "fly by velocity (OFFBOARD), which needs no module, or build with CONFIG_NAVIGATOR precision landing"),
+    Row("px4-yaw-by-gnss", _ADVICE, _px4_heading_unused,
+        "GPS_UBX_MODE measures the heading by two antennas, and the compass has it, which a ship's steel turns",
+        "set EKF2_GPS_CTRL {0} (bit 3: heading), and GPS_YAW_OFFSET as the antennas stand",
+        lambda to: {"EKF2_GPS_CTRL": float(to)}),
     Row("px4-precland-moving", _ERROR, lambda p: _precland_of(p, "PLD_HACC_RAD", 5.0),
         "PLD_HACC_RAD is {0}: AUTO.PRECLAND stays behind a pad that moves, and descends no farther from it than this",
         "set PLD_HACC_RAD 8 for guidance.mission \"targets\", or let the service fly it in OFFBOARD",

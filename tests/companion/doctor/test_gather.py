@@ -91,7 +91,7 @@ async def test_only_a_disarmed_vehicle_is_queried_why_it_does_not_arm(monkeypatc
 async def test_a_px4_without_the_module_and_with_an_event() -> None:
     good = {r.parameter: r.good for r in rules_values.RULES if r.stack == "PX4"}
     asked = defaults("PX4") | {n: good.get(n, 1.0) for n in PARAMETERS["PX4"] if n != "PLD_HACC_RAD"}
-    parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 4}
+    parameters = asked | {"EKF2_EV_CTRL": 0, "COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 4, "GPS_UBX_MODE": 0}
     fake = MiniatureAutopilot(Stack.PX4, mode="auto.loiter", parameters=parameters)
     talking = asyncio.create_task(examined(fake))
     await until(lambda: fake.commands[512] > 0)

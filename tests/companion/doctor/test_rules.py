@@ -203,6 +203,9 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "pad taken to stand still": ("plnd-still-target", parameter("PLND_OPTIONS", 4.0), "PLND_OPTIONS 5"),
     "rangefinder that nobody feeds": ("rangefinder-unfed", service(sends_ranges=False), "ranges"),
     "height from the deck": ("ekf-height-by-range", parameter("EK3_SRC1_POSZ", 2.0), "EK3_SRC1_POSZ 1"),
+    "a heading of two antennas that nobody takes": ("yaw-by-gnss", ardupilot(
+        parameters=ARDUPILOT.parameters | {"GPS1_TYPE": 17.0, "GPS2_TYPE": 18.0, "EK3_SRC1_YAW": 1.0}),
+        "EK3_SRC1_YAW 3"),
     "gyros calibrated at sea": ("gyro-calibration", parameter("INS_GYR_CAL", 1.0), "ashore"),
     "another program's frame": ("frame-not-supported", ardupilot(texts=("Plnd: Frame not supported",)), "another program"),
     "targets at 1 Hz": ("target-too-rare", ardupilot(texts=("PrecLand: Init Failed",)), "10 Hz"),
@@ -219,6 +222,8 @@ BROKEN: dict[str, tuple[str, Snapshot, str]] = {
     "ArduPilot 4.0": ("firmware-old", ardupilot(firmware=(4, 0, 7)), "update"),
     "PX4 without the module": ("px4-precland-missing",
         px4(parameters={k: v for k, v in PX4.parameters.items() if k != "PLD_HACC_RAD"}, absent=("PLD_HACC_RAD",)), "OFFBOARD"),
+    "a heading of two antennas that PX4 does not take": ("px4-yaw-by-gnss",
+        px4(parameters=PX4.parameters | {"GPS_UBX_MODE": 1.0, "EKF2_GPS_CTRL": 7.0}), "EKF2_GPS_CTRL 15"),
     "PX4 precision landing on a ship": ("px4-precland-moving", px4(mode="auto.precland"), "OFFBOARD"),
     "PX4 led, and slow": ("px4-precland-jerk", replace(
         px4(parameters=PX4.parameters | {"PLD_HACC_RAD": 8.0, "MPC_JERK_AUTO": 4.0}),

@@ -190,7 +190,7 @@ def test_the_last_line_says_what_was_judged_and_what_was_not() -> None:
     )
     some = dict(list(ARDUPILOT.parameters.items())[:3])
     few = counted(Snapshot(0.0, autopilot=replace(ARDUPILOT, parameters=some, absent=("PLND_LAG",))), 0)
-    assert few.startswith("judged: 4 of 88 parameters\nnot judged: parameters that were not read: PLND_OPTIONS, ")
+    assert few.startswith("judged: 4 of 90 parameters\nnot judged: parameters that were not read: PLND_OPTIONS, ")
     assert few.endswith("none of the known faults found")
 
 
